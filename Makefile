@@ -1,0 +1,61 @@
+# The project's one entry point; `make help` lists what it does. Everything is installed into VENV, nothing elsewhere.
+
+SHELL := bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+VENV ?= .venv
+# The interpreter the environment is made with, once; empty: the first on PATH that is new enough.
+PYTHON ?=
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.koopdqn-installed
+
+.PHONY: help setup demo test learn lint format types bench package constraints clean
+
+help: ## List the targets
+	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
+
+setup: $(STAMP) ## Make the virtual environment and install koopdqn there, editable, with pinned dependencies
+
+$(STAMP): pyproject.toml constraints.txt scripts/setup.sh
+	@bash scripts/setup.sh "$(VENV)" "$(PYTHON)"
+	@touch "$@"
+
+demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learned; results go to runs/
+	$(BIN)/koopdqn train task=shelf seed=0
+	$(BIN)/koopdqn eval
+
+# Two workers with one thread each: on few cores, threads that compete cost more than they give.
+test: $(STAMP) ## Run the fast tests
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
+learn: $(STAMP) ## Run the slow tests, which learn whole tasks
+	$(BIN)/python -m pytest -m slow
+
+lint: $(STAMP) ## Check style and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(STAMP) ## Mend formatting, and what style rules can mend by themselves
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+types: $(STAMP) ## Check types
+	$(BIN)/mypy
+
+bench: $(STAMP) ## Measure speed on this machine
+	$(BIN)/python scripts/bench.py
+
+package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
+	$(BIN)/python scripts/check_package.py
+
+constraints: $(STAMP) ## Write constraints.txt from what VENV holds now
+	bash scripts/freeze.sh "$(BIN)/python" > "$(VENV)/constraints.new"
+	mv "$(VENV)/constraints.new" constraints.txt
+	touch "$(STAMP)"
+
+clean: ## Remove build products and caches; the environment and runs/ stay
+	rm -rf dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find assets conf docs koopdqn scripts tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,4 @@
+"""Configuration: typed settings, where conf/ and assets/ live, and Hydra behind the command line.
+
+Import the modules, not this package: each loads only what it needs.
+"""

@@ -1,0 +1,130 @@
+"""What went wrong, as one line: errors of Hydra, OmegaConf, YAML and the operating system in koopdqn's words."""
+
+import errno
+from collections.abc import Iterator
+from pathlib import Path
+
+from koopdqn.config.messages import shown
+from koopdqn.errors import BadInputError, KoopdqnError, WorkFailedError, unknown_name
+
+_NOISE = ("See https://", "object_type=", "reference_type=", "full_key:")
+_OUT_OF_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+
+
+def explain(error: BaseException) -> KoopdqnError | None:
+    """Return the error that tells the user what ``error`` means, or None if it is a fault of the program.
+
+    The cause is looked for along the chain of ``__cause__`` and ``__context__``, since Hydra and OmegaConf
+    wrap what their callers raise.
+    """
+    for link in _chain(error):
+        if isinstance(link, KoopdqnError):
+            return link
+    for link in _chain(error):
+        known = _from_hydra(link) or _from_yaml(link) or _raised_by_hydra(link)
+        if known:
+            return known
+    return _from_system(error) if isinstance(error, OSError) else None
+
+
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    link: BaseException | None = error
+    while link is not None:
+        yield link
+        link = link.__cause__ or (None if link.__suppress_context__ else link.__context__)
+
+
+def _from_hydra(error: BaseException) -> BadInputError | None:
+    from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+    from omegaconf.errors import OmegaConfBaseException
+
+    if isinstance(error, OverrideParseException):
+        return BadInputError(f"the override {shown(error.override)} cannot be read: {_in_one_line(error.message)}")
+    if isinstance(error, MissingConfigException):
+        return _missing_config(error)
+    cause = error.__cause__
+    if isinstance(error, HydraException):
+        text = _in_one_line(str(error))
+        if isinstance(cause, OmegaConfBaseException):
+            known = _from_omegaconf(cause)
+            merging = text.startswith("Error merging override")
+            return BadInputError(f"{text}: {known}") if merging else known
+        return BadInputError(text or "the config cannot be composed") if text or cause is None else None
+    if isinstance(error, OmegaConfBaseException):
+        return _from_omegaconf(error)
+    return None
+
+
+def _missing_config(error: BaseException) -> BadInputError:
+    name = getattr(error, "missing_cfg_file", None)
+    options = getattr(error, "options", None)
+    if name and options is not None:
+        group, _, option = str(name).rpartition("/")
+        kind = f"option of {group}" if group else "config"
+        return unknown_name(kind, option, options) if options else BadInputError(f"no config group {group!r} ({name})")
+    return BadInputError(_in_one_line(str(error)))
+
+
+def _from_omegaconf(error: BaseException) -> BadInputError:
+    from omegaconf import DictConfig
+    from omegaconf.errors import ConfigAttributeError, ConfigKeyError, MissingMandatoryValue
+
+    key = getattr(error, "full_key", None) or ""
+    if isinstance(error, MissingMandatoryValue):
+        return BadInputError(f"{key}: must be given, found ??? (nothing)")
+    parent = getattr(error, "parent_node", None)
+    if isinstance(error, ConfigAttributeError | ConfigKeyError) and isinstance(parent, DictConfig):
+        valid = sorted(str(name) for name in parent if name != "hydra")
+        return BadInputError(f"unknown key {key}; valid: {', '.join(valid) or 'none'}")
+    text = _in_one_line(str(error))
+    # OmegaConf keeps of a resolver's error only its class's name and text
+    resolver, marker, message = text.partition(" raised while resolving interpolation: ")
+    if marker and resolver == BadInputError.__name__:
+        return BadInputError(message)
+    return BadInputError(f"{key}: {text}" if key else text)
+
+
+def _raised_by_hydra(error: BaseException) -> BadInputError | None:
+    """Return the error of Hydra's own checks that raise ValueError, which a job may raise by a fault too."""
+    if isinstance(error, UnicodeDecodeError):
+        return BadInputError(
+            f"a text file must be UTF-8, found byte 0x{error.object[error.start]:02x} at {error.start}"
+        )
+    if not isinstance(error, ValueError):
+        return None
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    module = str(trace.tb_frame.f_globals.get("__name__", "")) if trace else ""
+    return BadInputError(_in_one_line(str(error))) if module.partition(".")[0] in ("hydra", "omegaconf") else None
+
+
+def _from_yaml(error: BaseException) -> BadInputError | None:
+    # YAML's own classes, told by their package: it ships no type hints
+    if not type(error).__module__.startswith("yaml."):
+        return None
+    return BadInputError(f"a config file is not valid YAML: {_in_one_line(str(error))}")
+
+
+def _from_system(error: OSError) -> KoopdqnError:
+    reason = error.strerror or _in_one_line(str(error)) or type(error).__name__
+    text = f"{_relative(error.filename)}: {reason}" if error.filename else reason
+    if error.errno is None or error.errno in _OUT_OF_ROOM:
+        return WorkFailedError(text)
+    return BadInputError(text)
+
+
+def _relative(filename: object) -> str:
+    path = Path(str(filename))
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+def _in_one_line(text: str) -> str:
+    lines = []
+    for line in text.splitlines():
+        line = line.strip()
+        if line.startswith(("Config search path:", "Search path:")):
+            break
+        if line and not line.startswith(_NOISE):
+            lines.append(line)
+    return " ".join(lines)

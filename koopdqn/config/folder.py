@@ -1,0 +1,66 @@
+"""The run folder: it must be new or empty, so that nothing a user made is overwritten."""
+
+import os
+from pathlib import Path
+
+from koopdqn.errors import BadInputError
+
+RESOLVER = "new_folder"
+"""Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
+
+
+def register_resolver(*, check: bool) -> None:
+    """Register ``${new_folder:PATH}``, which gives PATH back.
+
+    Hydra asks for the run folder before it writes there, so that this is the moment to look: OmegaConf
+    keeps what a resolver first returned, and the later requests of the same run (when the folder has
+    begun to fill) see that.
+
+    Args:
+        check: whether to refuse a folder that holds something; a config that is only shown need not.
+    """
+    from omegaconf import OmegaConf
+
+    OmegaConf.register_new_resolver(RESOLVER, _checked if check else str, replace=True, use_cache=True)
+
+
+def require_new(folder: Path, ignore: str = "") -> None:
+    """Raise unless a run folder is absent, empty or holds hidden files only.
+
+    Args:
+        folder: the run folder.
+        ignore: name of a file that may be there, such as the log that Hydra opens first.
+
+    Raises:
+        BadInputError: the folder holds something.
+    """
+    if not folder.is_dir():
+        return
+    names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(".") and entry.name != ignore)
+    if names:
+        listed = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+        raise BadInputError(f"out: must name a new or an empty folder, found {str(folder)!r}, which holds {listed}")
+
+
+def require_writable(folder: Path) -> None:
+    """Make a folder and its parents, and raise unless files can be made in it.
+
+    Raises:
+        BadInputError: the folder cannot be made, or is read-only.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise BadInputError(f"out: must name a folder that can be written, found {str(folder)!r} ({reason})") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise BadInputError(f"out: must name a folder that can be written, found {str(folder)!r} (no permission)")
+
+
+def _checked(path: object) -> str:
+    text = str(path)
+    if path is None or not text.strip():
+        raise BadInputError(f"out: must name a folder, found {path!r}")
+    require_new(Path(text))
+    require_writable(Path(text))
+    return text

@@ -1,0 +1,157 @@
+"""What the command line does to the overrides it is given before Hydra reads them."""
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from koopdqn.config.messages import shown
+from koopdqn.errors import BadInputError
+
+PATH_KEYS: Final = ("out", "run", "demos", "intent_file")
+"""Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
+
+_PLAIN_VALUE: Final = re.compile(r"[A-Za-z0-9_./-]*")
+_INTENT_SUFFIXES: Final = (".npz", ".safetensors")
+_RECORD: Final = Path(".hydra") / "overrides.yaml"
+_OWN_KEYS: Final = ("command", "out", "run")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What Hydra gets.
+
+    Attributes:
+        overrides: the overrides, in Hydra's grammar.
+        continues: whether they go on with an earlier training run, in its folder.
+    """
+
+    overrides: list[str]
+    continues: bool = False
+
+
+def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -> Prepared:
+    """Return the overrides that Hydra gets for a command.
+
+    - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
+    - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
+      model does, or is an existing file. Any other value of ``intent`` picks from the config group.
+    - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
+      bracket), and a leading ``~/`` is the home folder.
+    - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
+      after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone.
+    - ``command=`` is set to the command's name.
+
+    Args:
+        command: name of the subcommand.
+        overrides: as given by the user.
+        multirun: whether ``-m`` was given.
+
+    Raises:
+        BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no training
+            run that can be continued.
+    """
+    prepared = [_prepare_one(override) for override in overrides]
+    keys = [_key(override) for override in prepared]
+    if "command" in keys:
+        raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
+    folders = [_value(override) for override in prepared if _key(override) == "run"]
+    if command != "train" or not folders or folders[-1] == "null":
+        return Prepared([*prepared, f"command={command}"])
+    if multirun:
+        raise BadInputError("run: train run=DIR goes on in one folder and cannot be combined with --multirun")
+    if "out" in keys:
+        raise BadInputError("out: train run=DIR goes on in DIR, so that out= cannot be given as well")
+    folder = folders[-1]
+    recorded = _recorded(folder, command)
+    given = {_name(override) for override in prepared}
+    merged = [
+        *(override for override in recorded if _name(override) not in given),
+        *prepared,
+        f"command={command}",
+        f"out={_quoted(folder)}",
+        f"hydra.run.dir={_quoted(folder)}",
+        "hydra.output_subdir=null",
+    ]
+    return Prepared(merged, continues=True)
+
+
+def _prepare_one(override: str) -> str:
+    name, equals, value = override.partition("=")
+    if not override.startswith("~") and (not equals or not name.strip("+ ")):
+        raise BadInputError(f"an override must read key=value, found {shown(override)}")
+    if name == "intent" and _is_path(value):
+        name = "intent_file"
+    if name in PATH_KEYS:
+        value = _quoted(value)
+    return f"{name}{equals}{value}"
+
+
+def _is_path(value: str) -> bool:
+    text = _unquoted(value)
+    separators = [s for s in (os.sep, os.altsep) if s]
+    return (
+        any(s in text for s in separators)
+        or text.lower().endswith(_INTENT_SUFFIXES)
+        or text == "~"
+        or (bool(text) and Path(text).is_file())
+    )
+
+
+def _quoted(value: str) -> str:
+    if value.startswith("~/"):
+        value = str(Path(value).expanduser())
+    # quotes, interpolations and lists for a sweep are the user's own grammar
+    if value[:1] in ("'", '"') or "${" in value or "," in value or _PLAIN_VALUE.fullmatch(value):
+        return value
+    # in Hydra's quotes a backslash is an ordinary character unless it stands before a quote
+    escaped = re.sub(r"(\\*)('|$)", lambda m: m[1] * 2 + ("\\'" if m[2] else ""), value)
+    return f"'{escaped}'"
+
+
+def _unquoted(value: str) -> str:
+    if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"":
+        return re.sub(rf"(\\*)\\({value[0]})", lambda m: m[1][::2] + m[2], value[1:-1])
+    return value
+
+
+def _name(override: str) -> str:
+    return override.partition("=")[0]
+
+
+def _key(override: str) -> str:
+    return _name(override).lstrip("+~").partition("@")[0]
+
+
+def _value(override: str) -> str:
+    return _unquoted(override.partition("=")[2])
+
+
+def _recorded(folder: str, command: str) -> list[str]:
+    from omegaconf import OmegaConf
+
+    if not folder.strip():
+        raise BadInputError("run: must name the folder of a training run, found ''")
+    path = Path(folder)
+    if not path.is_dir():
+        raise BadInputError(f"run: must name the folder of a training run, found no folder {folder!r}")
+    record = path / _RECORD
+    if not record.is_file():
+        raise BadInputError(f"run: must name the folder of a training run, found no {_RECORD} in {folder!r}")
+    try:
+        content = OmegaConf.to_container(OmegaConf.load(record), resolve=False)
+    # the file may hold anything, and the YAML parser has errors of its own
+    except Exception as error:
+        raise BadInputError(f"run: {record} cannot be read ({type(error).__name__})") from error
+    if not isinstance(content, list) or not all(isinstance(item, str) for item in content):
+        raise BadInputError(f"run: {record} must be a list of overrides, found {shown(content)}")
+    _check_command(content, command, folder)
+    return [item for item in content if _key(item) not in _OWN_KEYS]
+
+
+def _check_command(recorded: Iterable[str], command: str, folder: str) -> None:
+    commands = [_value(item) for item in recorded if _key(item) == "command"]
+    if commands and commands[-1] != command:
+        raise BadInputError(f"run: must name a run of {command!r}, found one of {commands[-1]!r} in {folder!r}")

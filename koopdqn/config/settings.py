@@ -1,0 +1,182 @@
+"""Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
+
+import importlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from koopdqn.config.messages import describe, shown
+from koopdqn.errors import BadInputError
+
+T = TypeVar("T")
+Model = TypeVar("Model", bound=BaseModel)
+
+TARGET = "target"
+
+
+class Settings(BaseModel):
+    """Base of every settings class: immutable, no unknown keys, no coercion, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+
+
+def _listed(rule: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
+    """Return a validator that turns a YAML list into a tuple of that length."""
+
+    def to_tuple(value: object) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or (length is not None and len(value) != length):
+            raise ValueError(f"must be {rule}")
+        return tuple(value)
+
+    return to_tuple
+
+
+def _to_path(value: object) -> object:
+    if isinstance(value, str):
+        if not value.strip():
+            raise ValueError("must be a path")
+        return Path(value)
+    return value
+
+
+Positive = Annotated[float, Field(gt=0)]
+"""A finite number above 0."""
+NonNegative = Annotated[float, Field(ge=0)]
+"""A finite number, 0 or above."""
+Fraction = Annotated[float, Field(ge=0, le=1)]
+"""A number from 0 to 1, both included."""
+Count = Annotated[int, Field(ge=1)]
+"""A whole number, 1 or above."""
+NonNegativeInt = Annotated[int, Field(ge=0)]
+"""A whole number, 0 or above."""
+Name = Annotated[str, Field(min_length=1)]
+"""A text that is not empty."""
+PathText = Annotated[Path, BeforeValidator(_to_path)]
+"""A path, written as a text that is not empty; it need not exist."""
+Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 numbers", 2))]
+"""Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
+Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
+"""Three numbers, as a YAML list."""
+Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("a list of 4 numbers", 4))]
+"""Four numbers, as a YAML list."""
+Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("a list of 6 numbers", 6))]
+"""Six numbers, as a YAML list."""
+Vector7 = Annotated[
+    tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("a list of 7 numbers", 7))
+]
+"""Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
+Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("a list of numbers"))]
+"""Any number of numbers, as a YAML list."""
+Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("a list of whole numbers"))]
+"""Any number of whole numbers above 0, as a YAML list (layer widths)."""
+Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("a list of texts"))]
+"""Any number of texts, as a YAML list."""
+
+
+def plain(node: Mapping[Any, Any] | None, where: str = "") -> dict[str, Any]:
+    """Return a config node as plain dicts, lists and scalars, with its ``${…}`` resolved.
+
+    Args:
+        node: an OmegaConf node, or any mapping.
+        where: dotted key of the node, for messages; "" for the root.
+
+    Raises:
+        BadInputError: the node is no mapping, a ``???`` is left open, or an interpolation fails.
+    """
+    from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    if isinstance(node, DictConfig):
+        try:
+            content = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+        except MissingMandatoryValue as error:
+            raise BadInputError(f"{error.full_key}: must be given, found ??? (nothing)") from error
+        except OmegaConfBaseException as error:
+            raise BadInputError(f"{error.full_key or where}: {_first_line(error)}") from error
+    else:
+        content = node
+    if not isinstance(content, Mapping):
+        raise BadInputError(f"{where or 'the config'}: must be a group of keys, found {shown(content)}")
+    return {str(key): value for key, value in content.items()}
+
+
+def validate(node: Mapping[Any, Any] | None, model: type[Model], where: str = "") -> Model:
+    """Return ``model`` built from a config node.
+
+    Args:
+        node: an OmegaConf node, or any mapping.
+        model: the settings class.
+        where: dotted key of the node, for messages; "" for the root.
+
+    Raises:
+        BadInputError: in one line, the dotted key, the rule and the value found; an unknown key lists
+            the valid ones. Of several errors the first is told and the others are counted.
+    """
+    content = plain(node, where)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise BadInputError(describe(error, content, model, where)) from error
+
+
+def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> T:
+    """Return the object that a group's node describes.
+
+    The node's ``target`` names a settings class that implements ``base`` (``"some.module.Class"``,
+    also from a user's own package); the node's other keys are that class's fields.
+
+    Args:
+        node: an OmegaConf node, or any mapping.
+        base: a class, or a ``runtime_checkable`` protocol.
+        where: dotted key of the node, for messages.
+
+    Raises:
+        BadInputError: the target is absent, cannot be imported or does not implement ``base``, or the
+            other keys break a rule (see `validate`).
+    """
+    content = plain(node, where)
+    if TARGET not in content:
+        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing")
+    cls = _locate(content.pop(TARGET), where)
+    found = f"found {_full_name(cls)}"
+    try:
+        implements = issubclass(cls, base)
+    except TypeError:
+        implements = True  # a protocol with data members is only decided on an instance, below
+    if not implements:
+        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+    if not issubclass(cls, BaseModel):
+        raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
+    settings = validate(content, cls, where)
+    if not isinstance(settings, base):
+        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+    return settings
+
+
+def _locate(target: object, where: str) -> type[Any]:
+    key = f"{where}.{TARGET}"
+    if not isinstance(target, str) or "." not in target.strip("."):
+        raise BadInputError(f"{key}: must be a dotted name such as some.module.Class, found {shown(target)}")
+    module_name, _, class_name = target.rpartition(".")
+    try:
+        module = importlib.import_module(module_name)
+    # a user's own module may raise anything while it is imported
+    except Exception as error:
+        reason = f"{type(error).__name__}: {_first_line(error)}"
+        raise BadInputError(f"{key}: must name a class that can be imported, found {target!r} ({reason})") from error
+    found = getattr(module, class_name, None)
+    if not isinstance(found, type):
+        classes = sorted(n for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__)
+        raise BadInputError(f"{key}: {module_name} has no class {class_name!r}; valid: {', '.join(classes) or 'none'}")
+    return found
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+def _full_name(cls: type) -> str:
+    return f"{cls.__module__}.{cls.__qualname__}"

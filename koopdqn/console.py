@@ -1,0 +1,124 @@
+"""The two terminals: results on standard output, messages and progress on standard error."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING
+
+from rich.console import Console, RenderableType
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+
+@cache
+def out() -> Console:
+    """Return the console of standard output: results for people."""
+    return Console(highlight=False)
+
+
+@cache
+def err() -> Console:
+    """Return the console of standard error: messages, progress and questions."""
+    return Console(stderr=True, highlight=False)
+
+
+def say(line: RenderableType) -> None:
+    """Print one line of a result; a text is taken literally and never wrapped."""
+    if isinstance(line, str):
+        out().print(line, markup=False, soft_wrap=True)
+    else:
+        out().print(line)
+
+
+def note(message: str) -> None:
+    """Print a short message on standard error, literally and in one line."""
+    err().print(_one_line(message), markup=False, soft_wrap=True)
+
+
+def warn(message: str) -> None:
+    """Print a warning on standard error in one line."""
+    _tagged("warning", "bold yellow", message)
+
+
+def fail(message: str) -> None:
+    """Print an error on standard error in one line: ``koopdqn: error: …``."""
+    _tagged("error", "bold red", message)
+
+
+class Stage:
+    """A stage of long work, shown as a bar on a terminal and as two short lines elsewhere.
+
+    Attributes:
+        note: what the last line of the stage adds (a figure, a reason); may be set while it runs.
+    """
+
+    def __init__(self, bar: "Progress | None" = None, task: "TaskID | None" = None) -> None:
+        """Make a stage; use `stage` instead."""
+        self.note = ""
+        self._bar = bar
+        self._task = task
+
+    def advance(self, steps: float = 1.0, note: str | None = None) -> None:
+        """Count ``steps`` more as done, and change the note shown beside the bar if one is given."""
+        if note is not None:
+            self.note = _one_line(note)
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, advance=steps, note=self.note)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Take the bar off the terminal while a person is asked something."""
+        if self._bar is None:
+            yield
+            return
+        self._bar.stop()
+        try:
+            yield
+        finally:
+            self._bar.start()
+
+
+@contextmanager
+def stage(description: str, total: float | None = None) -> Iterator[Stage]:
+    """Show a stage of long work on standard error while the block runs.
+
+    On a terminal a bar with the time left, replaced by one line at the end; elsewhere one line at the
+    start and one at the end, so that logs stay short. An error in the block leaves no "done" line.
+
+    Args:
+        description: what is being done, in a few words.
+        total: the number of steps, or None when it is not known.
+    """
+    console, started = err(), time.monotonic()
+    if console.is_terminal and not console.is_dumb_terminal:
+        from rich.markup import escape
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (
+            TextColumn(escape(description)),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}", markup=False),
+        )
+        with Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
+            current = Stage(bar, bar.add_task(description, total=total, note=""))
+            yield current
+    else:
+        note(f"{description} ...")
+        current = Stage()
+        yield current
+    remark = f", {current.note}" if current.note else ""
+    note(f"{description}: done in {time.monotonic() - started:.1f} s{remark}")
+
+
+def _tagged(tag: str, style: str, message: str) -> None:
+    from rich.text import Text
+
+    err().print(Text.assemble("koopdqn: ", (f"{tag}:", style), f" {_one_line(message)}"), soft_wrap=True)
+
+
+def _one_line(message: str) -> str:
+    return " ".join(message.split())

@@ -1,0 +1,1 @@
+"""Demonstrations: trajectories that a person, or the scripted demonstrator, has shown."""

@@ -1,0 +1,109 @@
+"""Demonstrated trajectories as frozen, self-checking data."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+
+_QUATERNION_TOLERANCE = 1e-3
+
+
+def _frozen(values: Array) -> Array:
+    # A copy, so that the caller's array stays writable.
+    copy = np.array(values, dtype=float)
+    copy.setflags(write=False)
+    return copy
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One trajectory.
+
+    Attributes:
+        times: (N,) [s], increasing.
+        poses: flange poses (N, 7), quaternions continuous in sign.
+        joints: joint angles (N, 6) [rad], or None where they are not known.
+
+    Raises:
+        BadInputError: shapes disagree, a value is not finite, times do not increase, or a quaternion is not of unit length.
+    """
+
+    times: Array
+    poses: Array
+    joints: Array | None = None
+
+    def __post_init__(self) -> None:
+        """Check the arrays, copy them and make them read-only."""
+        poses = np.array(self.poses, dtype=float)
+        if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < 2:
+            raise BadInputError(f"poses must have shape (N, 7) with N >= 2, found {poses.shape}")
+        if np.shape(self.times) != (len(poses),):
+            raise BadInputError(f"times must have shape ({len(poses)},) as the poses have, found {np.shape(self.times)}")
+        if not np.isfinite(poses).all() or not np.isfinite(self.times).all():
+            raise BadInputError("poses and times must be finite, found NaN or infinity")
+        if np.any(np.diff(self.times) <= 0):
+            raise BadInputError(f"times must increase, found {int(np.sum(np.diff(self.times) <= 0))} that do not")
+        length = np.linalg.norm(poses[:, pose.QUATERNION], axis=1)
+        if np.any(np.abs(length - 1) > _QUATERNION_TOLERANCE):
+            worst = length[np.abs(length - 1).argmax()]
+            raise BadInputError(f"quaternions must have length 1 within {_QUATERNION_TOLERANCE}, found {worst:g}")
+        poses[:, pose.QUATERNION] = _continuous(poses[:, pose.QUATERNION] / length[:, None])
+        object.__setattr__(self, "poses", _frozen(poses))
+        object.__setattr__(self, "times", _frozen(self.times))
+        if self.joints is not None:
+            if np.ndim(self.joints) != 2 or len(self.joints) != len(poses) or not np.isfinite(self.joints).all():
+                raise BadInputError(
+                    f"joints must be finite, of shape ({len(poses)}, joints), found {np.shape(self.joints)}"
+                )
+            object.__setattr__(self, "joints", _frozen(self.joints))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return len(self.poses)
+
+
+def _continuous(quaternions: Array) -> Array:
+    # q and −q are the same rotation; the sign that turns least from sample to sample is kept.
+    flips = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
+    signs = np.concatenate([[1.0], np.cumprod(np.where(flips < 0, -1.0, 1.0))])
+    return quaternions * signs[:, None]
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """Demonstrations of one task with one arm.
+
+    Attributes:
+        task: the task's name.
+        arm: the arm's name.
+        items: the trajectories, at least one.
+    """
+
+    task: str
+    arm: str
+    items: Sequence[Demonstration]
+
+    def __post_init__(self) -> None:
+        """Check that there is something."""
+        if not self.items:
+            raise BadInputError("there must be at least one demonstration, found none")
+
+    def __len__(self) -> int:
+        """Return the number of demonstrations."""
+        return len(self.items)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of what the demonstrations say, whatever file they came from."""
+        sha = hashlib.sha256(f"{self.task}\n{self.arm}\n{len(self.items)}\n".encode())
+        for item in self.items:
+            for values in (item.times, item.poses, item.joints):
+                shape = () if values is None else values.shape
+                sha.update(f"{shape}\n".encode())
+                if values is not None:
+                    sha.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        return sha.hexdigest()

@@ -1,0 +1,133 @@
+"""Generating demonstrations: the scripted demonstrator with a person's variation, on the MuJoCo arm."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.config.settings import Settings
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.environment.reachability import Reachability
+from koopdqn.errors import WorkFailedError
+from koopdqn.pose import Array
+from koopdqn.tasks.path import arc_lengths, at_arc_lengths
+from koopdqn.tasks.task import Task
+
+_HARMONICS = 3
+_SUBSTEPS = 4
+# Two people, or one person twice, differ by at least this share of twice the wander, so that no two
+# demonstrations of a set are nearly the same.
+_LEAST_DIFFERENCE = 0.6
+
+
+class DemonstrationSettings(Settings):
+    """How many demonstrations are generated, and how fast they are shown."""
+
+    count: int = Field(ge=1, le=1000)
+    speed_m_s: float = Field(gt=0, le=1.0, description="average speed of the flange [m/s]")
+    pace_variation: float = Field(ge=0, lt=1, description="how much the speed rises and falls, as a share of it")
+    sample_seconds: float = Field(gt=0, le=0.2, description="time between two recorded samples [s]")
+
+
+@dataclass(frozen=True)
+class Generated:
+    """Generated demonstrations and what it took.
+
+    Attributes:
+        demonstrations: the trajectories.
+        redrawn: draws per reason that the arm could not carry out and that were drawn again.
+    """
+
+    demonstrations: Demonstrations
+    redrawn: dict[str, int]
+
+
+def generate(
+    task: Task,
+    reachability: Reachability,
+    settings: DemonstrationSettings,
+    seed: int,
+    advance: Callable[[int], None] = lambda done: None,
+) -> Generated:
+    """Return demonstrations of a task, each from its own start with its own smooth shape and pace.
+
+    Args:
+        task: whose demonstrator is followed.
+        reachability: the arm in the task's scene; every sample is reached by it without touching anything.
+        settings: how many, how fast.
+        seed: fixes everything.
+        advance: told the number of demonstrations done.
+
+    Raises:
+        WorkFailedError: too many draws in a row could not be carried out.
+    """
+    rng = np.random.default_rng([seed, 1])
+    items: list[Demonstration] = []
+    shapes: list[Array] = []
+    redrawn: dict[str, int] = {}
+    while len(items) < settings.count:
+        start = task.draw_starts(rng, 1)[0]
+        shape = _new_shape(task, rng, shapes)
+        poses = _follow(task, start, shape)
+        times, poses = _paced(poses, settings, rng)
+        joints, reason = reachability.follow(poses)
+        if joints is None:
+            redrawn[reason] = redrawn.get(reason, 0) + 1
+            if sum(redrawn.values()) > 20 * (len(items) + 5):
+                raise WorkFailedError(
+                    f"demonstrations of task {task.name}: the arm must be able to follow most draws,"
+                    f" found {sum(redrawn.values())} refused: {redrawn}"
+                )
+            continue
+        shapes.append(shape)
+        items.append(Demonstration(times, reachability.flange_poses(joints), joints))
+        advance(len(items))
+    return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
+
+
+def wander(task: Task, rng: np.random.Generator) -> Array:
+    """Return a smooth offset (M, 3) [m] for every point of the task's path.
+
+    It is a short random sine series along the path that vanishes at both ends and whose largest
+    value is the task's ``variation_m``.
+    """
+    along = np.linspace(0.0, 1.0, len(task.nominal_path.points))
+    offset = np.zeros((len(along), 3))
+    for harmonic in range(1, _HARMONICS + 1):
+        offset += rng.normal(size=3) / harmonic * np.sin(np.pi * harmonic * along)[:, None]
+    return offset * (task.variation_m / np.linalg.norm(offset, axis=1).max())
+
+
+def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Array:
+    for _ in range(1000):
+        shape = wander(task, rng)
+        apart = [np.linalg.norm(shape - other, axis=1).max() for other in others]
+        if not apart or min(apart) >= _LEAST_DIFFERENCE * 2 * task.variation_m:
+            return shape
+    # A crowded set (many demonstrations) has no room for another that differs from all.
+    return wander(task, rng)
+
+
+def _follow(task: Task, start: Array, shape: Array) -> Array:
+    law = task.demonstrator_on(task.nominal_path.displaced(shape))
+    fine = type(law)(law.path, law.goal, law.step / _SUBSTEPS, law.pull_back)
+    limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
+    return fine.roll_out(start, limit)
+
+
+def _paced(poses: Array, settings: DemonstrationSettings, rng: np.random.Generator) -> tuple[Array, Array]:
+    # Speed eases in and out and swells smoothly in between; time is the integral of its inverse.
+    arc = arc_lengths(poses[:, pose.POSITION])
+    share = arc / arc[-1]
+    swell = sum(rng.uniform(-1, 1) * np.sin(np.pi * (k + 1) * share + rng.uniform(0, np.pi)) for k in range(2))
+    ease = np.clip(np.minimum(share, 1 - share) / 0.1, 0, 1)
+    speed = settings.speed_m_s * (0.25 + 0.75 * ease) * (1 + 0.5 * settings.pace_variation * swell)
+    seconds = np.concatenate([[0.0], np.cumsum(np.diff(arc) / (0.5 * (speed[1:] + speed[:-1])))])
+    times = np.arange(0.0, seconds[-1], settings.sample_seconds)
+    if seconds[-1] - times[-1] < 1e-9:
+        times = times[:-1]
+    times = np.append(times, seconds[-1])
+    values = at_arc_lengths(poses, seconds, times)
+    return times, pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION])

@@ -1,0 +1,1 @@
+"""The double deep Q-network: what the arm learns with."""

@@ -1,0 +1,130 @@
+"""The learner: double DQN updates from replayed transitions (Eqs. 1, 3; van Hasselt et al. 2016)."""
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from koopdqn.dqn.network import QNetwork
+from koopdqn.dqn.replay import Transitions
+from koopdqn.dqn.settings import AgentSettings
+
+
+def q_targets(
+    rewards: Tensor,
+    stop: Tensor,
+    online_following: Tensor,
+    target_following: Tensor,
+    gamma: float,
+    double: bool,
+) -> Tensor:
+    """Return the targets (N,) that Q(s, a) is drawn to.
+
+    Double: r + γ Q'(s', argmax_a Q(s', a)). Otherwise Eq. 3 as written, with the target network Q':
+    r + γ max_a Q'(s', a). Where ``stop`` (N,) is true nothing follows and the target is r.
+
+    Args:
+        rewards: (N,).
+        stop: (N,) booleans: terminated, or undone and not bootstrapped. Truncated transitions do not stop.
+        online_following: Q(s', ·) (N, 10).
+        target_following: Q'(s', ·) (N, 10).
+        gamma: γ.
+        double: which of the two.
+    """
+    if double:
+        best = online_following.argmax(dim=1, keepdim=True)
+        value = target_following.gather(1, best).squeeze(1)
+    else:
+        value = target_following.max(dim=1).values
+    return rewards + gamma * torch.where(stop, 0.0, value)
+
+
+class Learner:
+    """The online network, its target and the optimiser.
+
+    Attributes:
+        online: the network that acts.
+        target: the network that evaluates.
+        updates: how many updates were made.
+    """
+
+    def __init__(self, inputs: int, settings: AgentSettings, rng: np.random.Generator) -> None:
+        """Make a learner for observations of ``inputs`` values, every weight drawn from ``rng``."""
+        self.settings = settings
+        self.online = QNetwork(inputs, settings.network, rng)
+        self.target = QNetwork(inputs, settings.network, rng)
+        self.target.load_state_dict(self.online.state_dict())
+        self.updates = 0
+        self._parameters = list(self.online.parameters())
+        self._target_parameters = list(self.target.parameters())
+        self._optimizer = torch.optim.Adam(self._parameters, lr=settings.learning_rate)
+
+    def normalise_to(self, observations: np.ndarray) -> None:
+        """Take mean and spread of the inputs of both networks from observations (N, inputs)."""
+        self.online.normalise_to(observations)
+        self.target.normalise_to(observations)
+
+    def update(self, batch: Transitions) -> float:
+        """Make one update from a batch and return its loss (mean squared error)."""
+        following = torch.from_numpy(batch.following)
+        stop = torch.from_numpy(batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone)
+        with torch.no_grad():
+            targets = q_targets(
+                torch.from_numpy(batch.rewards),
+                stop,
+                self.online(following),
+                self.target(following),
+                self.settings.gamma,
+                self.settings.double,
+            )
+        values = self.online(torch.from_numpy(batch.observations))
+        chosen = values.gather(1, torch.from_numpy(batch.actions)[:, None]).squeeze(1)
+        loss = nn.functional.mse_loss(chosen, targets)
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
+        self._optimizer.step()
+        self.updates += 1
+        if self.updates % self.settings.target_every == 0:
+            with torch.no_grad():
+                torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
+        return float(loss.detach())
+
+    def policy_arrays(self) -> dict[str, np.ndarray]:
+        """Return a copy of the online network's parameters and buffers."""
+        return _arrays_of(self.online)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything the learner needs to go on, as arrays."""
+        state = {f"online.{name}": values for name, values in _arrays_of(self.online).items()}
+        state |= {f"target.{name}": values for name, values in _arrays_of(self.target).items()}
+        for index, moments in self._optimizer.state_dict()["state"].items():
+            state |= {f"adam.{index}.{name}": values.numpy().copy() for name, values in moments.items()}
+        return {**state, "updates": np.array(self.updates)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from what :meth:`state` returned."""
+        load_arrays(self.online, _below(state, "online."))
+        load_arrays(self.target, _below(state, "target."))
+        moments: dict[int, dict[str, Tensor]] = {}
+        for name, values in _below(state, "adam.").items():
+            index, key = name.split(".")
+            moments.setdefault(int(index), {})[key] = torch.from_numpy(values.copy())
+        groups = self._optimizer.state_dict()["param_groups"]
+        self._optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        self.updates = int(state["updates"])
+
+
+def load_arrays(network: QNetwork, arrays: dict[str, np.ndarray]) -> None:
+    """Set a network's parameters and buffers.
+
+    Raises:
+        RuntimeError: names or shapes do not fit the network.
+    """
+    network.load_state_dict({name: torch.from_numpy(values.copy()) for name, values in arrays.items()})
+
+
+def _arrays_of(network: QNetwork) -> dict[str, np.ndarray]:
+    return {name: values.detach().numpy().copy() for name, values in network.state_dict().items()}
+
+
+def _below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): values for name, values in state.items() if name.startswith(prefix)}

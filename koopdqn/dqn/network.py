@@ -1,0 +1,73 @@
+"""The Q-network: ten values, one for each action, from an observation."""
+
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from koopdqn.dqn.settings import NetworkSettings
+from koopdqn.environment.actions import COUNT
+
+_POSITION = 3
+# Observations that hardly vary (a held orientation's distance) must not be blown up.
+_LEAST_SPREAD = 0.02
+
+
+class QNetwork(nn.Module):
+    """A multilayer perceptron with ReLU on normalised observations, and on random Fourier features of the position.
+
+    Which action is right changes every few millimetres; the features (Rahimi & Recht 2007) let a small
+    network follow that. Their frequencies are drawn once and not learned.
+    """
+
+    mean: Tensor
+    spread: Tensor
+    frequencies: Tensor
+    phases: Tensor
+
+    def __init__(self, inputs: int, settings: NetworkSettings, rng: np.random.Generator) -> None:
+        """Make a network for observations (N, inputs), every weight drawn from ``rng``."""
+        super().__init__()
+        features = settings.fourier_features
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("spread", torch.ones(inputs))
+        self.register_buffer("frequencies", _drawn(rng.normal(size=(_POSITION, features)) / settings.length_scale_m))
+        self.register_buffer("phases", _drawn(rng.uniform(0, 2 * np.pi, features)))
+        widths = [inputs + features, *settings.hidden]
+        layers: list[nn.Module] = []
+        for before, after in zip(widths, widths[1:], strict=False):
+            layers += [_linear(before, after, rng), nn.ReLU()]
+        self.layers = nn.Sequential(*layers, _linear(widths[-1], COUNT, rng))
+
+    def normalise_to(self, observations: NDArray[np.float32]) -> None:
+        """Take mean and spread of the inputs from observations (N, inputs)."""
+        self.mean.copy_(torch.from_numpy(observations.mean(axis=0)))
+        self.spread.copy_(torch.from_numpy(np.maximum(observations.std(axis=0), _LEAST_SPREAD)))
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Return the values Q (N, 10) of observations (N, inputs)."""
+        normalised = (observations - self.mean) / self.spread
+        if self.phases.numel():
+            waves = torch.cos(observations[:, :_POSITION] @ self.frequencies + self.phases)
+            normalised = torch.cat([normalised, np.sqrt(2.0) * waves], dim=1)
+        return cast(Tensor, self.layers(normalised))
+
+    def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the values Q (N, 10) of observations (N, inputs), without gradients."""
+        with torch.no_grad():
+            return cast(NDArray[np.float32], self(torch.from_numpy(observations)).numpy())
+
+
+def _drawn(values: NDArray[np.float64]) -> Tensor:
+    return torch.from_numpy(values.astype(np.float32))
+
+
+def _linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
+    # He initialisation from a generator of our own: no global random state.
+    layer = nn.Linear(inputs, outputs)
+    with torch.no_grad():
+        layer.weight.copy_(_drawn(rng.normal(scale=np.sqrt(2.0 / inputs), size=(outputs, inputs))))
+        layer.bias.zero_()
+    return layer

@@ -1,0 +1,75 @@
+"""The learned policy: the argmax of a Q-network on the observation alone."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koopdqn.artifact import Artifact, described, read_artifact, write_artifact
+from koopdqn.config.settings import validate
+from koopdqn.dqn.network import QNetwork
+from koopdqn.dqn.observation import observe, size
+from koopdqn.dqn.settings import NetworkSettings
+from koopdqn.dqn.learner import load_arrays
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+KIND = "policy"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy for a task.
+
+    Attributes:
+        network: the Q-network.
+        task: gives the goal that observations refer to.
+    """
+
+    network: QNetwork
+    task: Task
+
+    def __call__(self, poses: Array) -> np.ndarray:
+        """Return the actions (N,) of greatest value from poses (N, 7)."""
+        return self.values(poses).argmax(axis=1)
+
+    def values(self, poses: Array) -> np.ndarray:
+        """Return Q (N, 10) at poses (N, 7)."""
+        return self.network.values(observe(poses, self.task))
+
+
+def write_policy(path: Path, arrays: dict[str, np.ndarray], network: NetworkSettings, about: dict[str, Any]) -> None:
+    """Write a network's arrays with the settings to rebuild it and ``about``: what it was made with and from."""
+    write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network)}))
+
+
+def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
+    """Read a policy for a task and what it says about itself.
+
+    Raises:
+        BadInputError: the file is missing, damaged, of another task, or does not fit its own settings.
+    """
+    artifact = read_artifact(path, KIND)
+    about = dict(artifact.about)
+    found = about.get("task")
+    if found != described(task):
+        name = found.get("name") if isinstance(found, dict) else found
+        differing = sorted(key for key, value in described(task).items() if not _same(found, key, value))
+        raise BadInputError(
+            f"policy {path} must be of task {task.name} with the present settings, found task {name}"
+            f" (differing: {', '.join(differing)})"
+        )
+    node = {key: value for key, value in about["network"].items() if key != "target"}
+    settings = validate(node, NetworkSettings, "policy.network")
+    network = QNetwork(size(task), settings, np.random.default_rng(0))
+    try:
+        load_arrays(network, artifact.arrays)
+    except RuntimeError as error:
+        raise BadInputError(f"policy {path} must hold the arrays of its own network settings, found: {error}") from error
+    return Policy(network, task), about
+
+
+def _same(found: Any, key: str, value: Any) -> bool:
+    return isinstance(found, dict) and found.get(key) == value

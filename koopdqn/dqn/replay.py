@@ -1,0 +1,83 @@
+"""The replay buffer: experience stored and drawn at random (§3.1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Transitions:
+    """A batch of transitions.
+
+    Attributes:
+        observations: (N, inputs).
+        actions: (N,) indices in Table 1.
+        rewards: (N,).
+        following: (N, inputs) observations after the actions.
+        terminated: (N,) whether the goal was reached.
+        truncated: (N,) whether the episode was cut there; the value beyond still counts.
+        undone: (N,) whether the action was wrong and stepped back from.
+    """
+
+    observations: NDArray[np.float32]
+    actions: NDArray[np.int64]
+    rewards: NDArray[np.float32]
+    following: NDArray[np.float32]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    undone: NDArray[np.bool_]
+
+
+FIELDS = ("observations", "actions", "rewards", "following", "terminated", "truncated", "undone")
+
+
+class ReplayBuffer:
+    """A ring of transitions.
+
+    Attributes:
+        capacity: how many are kept.
+        added: how many were ever added.
+    """
+
+    def __init__(self, capacity: int, inputs: int) -> None:
+        """Make an empty buffer for observations of ``inputs`` values."""
+        self.capacity = capacity
+        self.added = 0
+        self._arrays: dict[str, np.ndarray] = {
+            "observations": np.zeros((capacity, inputs), np.float32),
+            "actions": np.zeros(capacity, np.int64),
+            "rewards": np.zeros(capacity, np.float32),
+            "following": np.zeros((capacity, inputs), np.float32),
+            "terminated": np.zeros(capacity, np.bool_),
+            "truncated": np.zeros(capacity, np.bool_),
+            "undone": np.zeros(capacity, np.bool_),
+        }
+
+    def __len__(self) -> int:
+        """Return how many transitions are held."""
+        return min(self.added, self.capacity)
+
+    def add(self, transitions: Transitions) -> None:
+        """Add transitions, in place of the oldest when the ring is full."""
+        count = len(transitions.actions)
+        index = (self.added + np.arange(count)) % self.capacity
+        for name in FIELDS:
+            self._arrays[name][index] = getattr(transitions, name)
+        self.added += count
+
+    def sample(self, rng: np.random.Generator, count: int) -> Transitions:
+        """Return ``count`` transitions drawn evenly, with replacement."""
+        index = rng.integers(len(self), size=count)
+        return Transitions(**{name: self._arrays[name][index] for name in FIELDS})
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything held, as arrays."""
+        held = {name: values[: len(self)].copy() for name, values in self._arrays.items()}
+        return {**held, "added": np.array(self.added)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Hold what :meth:`state` returned."""
+        self.added = int(state["added"])
+        for name in FIELDS:
+            self._arrays[name][: len(self)] = state[name]

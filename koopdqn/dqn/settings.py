@@ -1,0 +1,48 @@
+"""Settings of the agent: its network, its learning and how it explores."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from koopdqn.config.settings import Count, Counts, Fraction, Name, NonNegativeInt, Positive, Settings
+
+
+class NetworkSettings(Settings):
+    """The Q-network."""
+
+    hidden: Counts = Field(min_length=1, description="units of each hidden layer")
+    fourier_features: NonNegativeInt = Field(description="random Fourier features of the position; 0 for plain inputs")
+    length_scale_m: Positive = Field(description="of the Fourier features [m]")
+
+
+class AgentSettings(Settings):
+    """The agent. Steps are counted in actions tried, never in seconds."""
+
+    name: Name
+    network: NetworkSettings
+    gamma: float = Field(ge=0, lt=1, description="discount γ")
+    double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
+    learning_rate: Positive
+    batch: Count = Field(description="transitions in one update")
+    replay: Count = Field(description="transitions kept")
+    warm_up: Count = Field(description="transitions gathered before the first update")
+    target_rate: float = Field(gt=0, le=1, description="share of the way the target network moves at a target update")
+    target_every: Count = Field(description="updates between two target updates")
+    episodes_at_once: Count = Field(description="episodes that run side by side")
+    updates_per_round: Count = Field(description="updates after every step of all episodes")
+    trials: Literal["all", "chosen"] = Field(
+        description="in a state, try every action whose reward is known without asking, or only the chosen one"
+    )
+    step_back: bool = Field(description="undo a wrong action and try another (§3.3)")
+    bootstrap_undone: bool = Field(description="let an undone wrong action's target look past it")
+    epsilon_start: Fraction
+    epsilon_end: Fraction
+    epsilon_steps: Count = Field(description="actions over which ε falls")
+    exploring_starts: Fraction = Field(description="share of episodes that begin somewhere along a demonstration")
+    exploring_spread_m: Positive = Field(description="how far beside it they begin, a standard deviation [m]")
+    exploring_steps: Count = Field(description="steps after which such an episode is cut")
+
+    def epsilon(self, steps: int) -> float:
+        """Return ε after a number of actions: linear from start to end."""
+        share = min(1.0, steps / self.epsilon_steps)
+        return self.epsilon_start + share * (self.epsilon_end - self.epsilon_start)

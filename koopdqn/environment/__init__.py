@@ -1,0 +1,1 @@
+"""The environment: what the arm can do at each step, and what it is rewarded with."""

@@ -1,0 +1,61 @@
+"""Table 1: the ten actions, and the poses they reach."""
+
+from typing import Final
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+ACTIONS: Final = (
+    "moves uniformly in position and rotation toward the goal",
+    "moves only in position toward the goal",
+    "moves only in rotation toward the goal",
+    "moves in position and more in rotation toward the goal",
+    "moves along +x",
+    "moves along -x",
+    "moves along +y",
+    "moves along -y",
+    "moves along +z",
+    "moves along -z",
+)
+"""The actions in Table 1's order and words; an action's index counts from 0, the paper's numbers from 1."""
+
+COUNT: Final = len(ACTIONS)
+ROTATING: Final = (0, 2, 3)
+"""Indices of the actions that change orientation."""
+
+# Rotation of one action in rotation tolerances (design, row 9): together with the actions that do not
+# turn they match every demonstrated rate from 0 to 5 tolerances a step.
+_TURN: Final = {0: 2.0, 2: 2.0, 3: 4.0}
+_TO_GOAL: Final = (0, 1, 3)
+_FIRST_AXIS: Final = 4
+
+
+def reached_poses(poses: Array, task: Task) -> Array:
+    """Return the poses (N, 10, 7) that each action reaches from poses (N, 7), whether or not an arm can.
+
+    Motion toward the goal is straight in position and along the geodesic in rotation, both clamped at the goal.
+    """
+    reached = np.repeat(poses[:, None], COUNT, axis=1)
+    position, quaternion = poses[:, pose.POSITION], poses[:, pose.QUATERNION]
+    toward = pose.moved_toward(position, task.goal[pose.POSITION], np.full(len(poses), task.step_m))
+    for action in _TO_GOAL:
+        reached[:, action, pose.POSITION] = toward
+    turned_away = np.any(pose.rotation_distance(poses, task.goal) > 0)
+    for action, turns in _TURN.items() if turned_away else ():
+        angle = np.full(len(poses), turns * task.rotation_tolerance_rad)
+        reached[:, action, pose.QUATERNION] = pose.turned_toward(quaternion, task.goal[pose.QUATERNION], angle)
+    for axis in range(3):
+        reached[:, _FIRST_AXIS + 2 * axis, axis] += task.step_m
+        reached[:, _FIRST_AXIS + 2 * axis + 1, axis] -= task.step_m
+    return reached
+
+
+def legal_actions(task: Task) -> np.ndarray:
+    """Return which actions (10,) the task allows: with orientation held, those named for rotation are wrong (§5.1)."""
+    legal = np.ones(COUNT, dtype=bool)
+    if task.orientation == "held":
+        legal[list(ROTATING)] = False
+    return legal

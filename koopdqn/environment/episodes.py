@@ -1,0 +1,137 @@
+"""Episodes that run side by side: where each arm is, what it has tried there, and how it moves on."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn.config.settings import Settings
+from koopdqn.environment.actions import COUNT
+from koopdqn.environment.reachability import Motion, Reachability
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+
+class EpisodeSettings(Settings):
+    """What bounds an episode."""
+
+    limit_factor: float = Field(ge=3, description="step limit in lengths of the longest demonstration")
+
+
+@dataclass
+class EpisodeBatch:
+    """The state of N episodes, as arrays over episodes.
+
+    Attributes:
+        poses: (N, 7) flange poses.
+        joints: (N, 6) joint angles [rad].
+        steps: (N,) steps made.
+        limits: (N,) steps after which each is truncated.
+        numbers: (N,) which episode each is, counted from 0 over the whole run.
+        rewards: (N,) reward gathered.
+        tried: (N, 10) wrong actions already tried from the present pose.
+        fresh: (N,) whether nothing was tried from the present pose yet.
+        exploring: (N,) whether it began along a demonstration instead of in the start region.
+    """
+
+    poses: Array
+    joints: Array
+    steps: np.ndarray
+    limits: np.ndarray
+    numbers: np.ndarray
+    rewards: Array
+    tried: np.ndarray
+    fresh: np.ndarray
+    exploring: np.ndarray
+
+    @classmethod
+    def empty(cls, count: int) -> "EpisodeBatch":
+        """Return room for ``count`` episodes that have not begun."""
+        return cls(
+            poses=np.zeros((count, 7)),
+            joints=np.zeros((count, 6)),
+            steps=np.zeros(count, dtype=np.int64),
+            limits=np.zeros(count, dtype=np.int64),
+            numbers=np.zeros(count, dtype=np.int64),
+            rewards=np.zeros(count),
+            tried=np.zeros((count, COUNT), dtype=bool),
+            fresh=np.ones(count, dtype=bool),
+            exploring=np.zeros(count, dtype=bool),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return len(self.poses)
+
+    def move(self, index: int, pose: Array, joints: Array) -> None:
+        """Take episode ``index`` to a pose (7,) with joints (6,)."""
+        self.poses[index] = pose
+        self.joints[index] = joints
+        self.steps[index] += 1
+        self.tried[index] = False
+        self.fresh[index] = True
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything held, as arrays."""
+        return {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Hold what :meth:`state` returned."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name)[...] = state[name]
+
+
+@dataclass
+class StartSampler:
+    """Draws where episodes begin: in the task's start region, or somewhere along a demonstration.
+
+    Beginning along the demonstrations (exploring starts) shows the agent the whole tube from the first
+    moment, and what to do a little beside the path, where its own mistakes will take it.
+
+    Attributes:
+        task: gives the start region.
+        reachability: refuses what the arm cannot take.
+        trajectories: demonstrated poses (N, 7) at the agent's step.
+        share: share of exploring starts.
+        spread: standard deviation of their offset [m].
+        exploring_steps: step limit of episodes that begin there.
+        step_limit: step limit of the others.
+        refused: how many draws were drawn again.
+    """
+
+    task: Task
+    reachability: Reachability
+    trajectories: list[Array]
+    share: float
+    spread: float
+    exploring_steps: int
+    step_limit: int
+    refused: int = field(default=0)
+
+    def begin(self, batch: EpisodeBatch, index: int, number: int, rng: np.random.Generator) -> None:
+        """Begin episode ``number`` at ``index`` of a batch."""
+        batch.exploring[index] = rng.random() < self.share
+        if batch.exploring[index]:
+            pose, motion = self._along_demonstration(rng)
+        else:
+            poses, joints, refused = self.reachability.draw_starts(self.task, rng, 1)
+            self.refused += refused
+            pose, motion = poses[0], Motion(joints[0])
+        assert motion.joints is not None  # both ways draw until the arm can
+        batch.poses[index], batch.joints[index] = pose, motion.joints
+        batch.steps[index] = 0
+        batch.limits[index] = self.exploring_steps if batch.exploring[index] else self.step_limit
+        batch.numbers[index] = number
+        batch.rewards[index] = 0.0
+        batch.tried[index] = False
+        batch.fresh[index] = True
+
+    def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Motion]:
+        while True:
+            trajectory = self.trajectories[rng.integers(len(self.trajectories))]
+            pose = trajectory[rng.integers(len(trajectory))].copy()
+            pose[:3] += rng.normal(scale=self.spread, size=3)
+            motion = self.reachability.enter(pose)
+            if motion.joints is not None and not self.task.reached(pose[None])[0]:
+                return pose, motion
+            self.refused += 1

@@ -1,0 +1,138 @@
+"""Whether the arm can make a motion: inverse kinematics, limits and collisions, one step at a time."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.robot.arm import Arm
+from koopdqn.robot.scene import Scene
+from koopdqn.tasks.task import Task
+
+COLLISION: Final = "collision"
+UNREACHABLE: Final = "unreachable"
+VELOCITY: Final = "velocity_limit"
+# The reasons why a motion is refused, for counting.
+REASONS: Final = (UNREACHABLE, VELOCITY, COLLISION)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What became of a motion that was asked for.
+
+    Attributes:
+        joints: joint angles (6,) [rad] after it, or None if it is refused.
+        reason: one of :data:`REASONS`, or an empty string.
+        detail: the reason for people.
+    """
+
+    joints: Array | None
+    reason: str = ""
+    detail: str = ""
+
+
+class Reachability:
+    """The arm in a scene, moved kinematically.
+
+    Attributes:
+        arm: the arm.
+        scene: the scene.
+        step_seconds: how long one step takes [s]; with the arm's velocity limits it bounds a step's joint motion.
+    """
+
+    def __init__(self, arm: Arm, scene: Scene, step_seconds: float) -> None:
+        """Prepare for an arm in a scene whose every step takes ``step_seconds`` [s]."""
+        self.arm = arm
+        self.scene = scene
+        self.step_seconds = step_seconds
+        self._largest_step = np.array(arm.velocity_limits) * step_seconds
+
+    def move(self, pose: Array, joints: Array) -> Motion:
+        """Return what becomes of moving the flange to a pose (7,) from joint angles (6,) [rad] in one step."""
+        result = self.arm.inverse(pose, joints)
+        if not result.success:
+            return Motion(None, UNREACHABLE, result.reason)
+        step = np.abs(result.joints - joints)
+        if np.any(step > self._largest_step):
+            worst = int((step / self._largest_step).argmax())
+            detail = f"{self.arm.joint_names[worst]} would move {step[worst]:.3f} rad, limit {self._largest_step[worst]:.3f}"
+            return Motion(None, VELOCITY, detail)
+        contact = self.scene.contact(result.joints)
+        if contact:
+            return Motion(None, COLLISION, contact)
+        return Motion(result.joints)
+
+    def enter(self, pose: Array) -> Motion:
+        """Return the joint angles with which the arm takes a pose (7,) to begin with: of all, those nearest home."""
+        home = np.array(self.arm.home)
+        solutions = self.arm.solutions(pose, home)
+        if not len(solutions):
+            return Motion(None, UNREACHABLE, self.arm.inverse(pose, home).reason)
+        first = ""
+        for joints in sorted(solutions, key=lambda q: float(np.abs(q - home).max())):
+            contact = self.scene.contact(joints)
+            if not contact:
+                return Motion(np.array(joints))
+            first = first or contact
+        return Motion(None, COLLISION, first)
+
+    def follow(self, poses: Array) -> tuple[Array | None, str]:
+        """Return the joint angles (N, 6) [rad] along poses (N, 7), or None and the reason why there are none."""
+        motion = self.enter(poses[0])
+        path = []
+        for pose in poses[1:]:
+            if motion.joints is None:
+                break
+            path.append(motion.joints)
+            motion = self.move(pose, motion.joints)
+        if motion.joints is None:
+            return None, motion.reason
+        return np.array([*path, motion.joints]), ""
+
+    def flange_poses(self, joints: Array) -> Array:
+        """Return the flange's poses (N, 7) at joint angles (N, 6) [rad], by MuJoCo."""
+        return np.array([self.scene.flange_pose(row) for row in joints])
+
+    def draw_starts(self, task: Task, rng: np.random.Generator, count: int) -> tuple[Array, Array, int]:
+        """Return starts (count, 7) of a task that the arm can take, their joints (count, 6), and how many were redrawn.
+
+        Raises:
+            BadInputError: hardly any start of the region can be taken.
+        """
+        poses, joints, refused, detail = [], [], 0, ""
+        while len(poses) < count:
+            start = task.draw_starts(rng, 1)[0]
+            motion = self.enter(start)
+            if motion.joints is None:
+                refused, detail = refused + 1, f"{motion.reason}: {motion.detail}"
+                if refused > 50 + 20 * len(poses):
+                    raise BadInputError(
+                        f"task {task.name}: the arm must be able to take starts of the start region,"
+                        f" found {refused} refused of {refused + len(poses)} ({detail})"
+                    )
+                continue
+            poses.append(start)
+            joints.append(motion.joints)
+        return np.array(poses), np.array(joints), refused
+
+    def check(self, task: Task) -> None:
+        """Check that the arm can take the task's nominal start and goal with room to spare.
+
+        Raises:
+            BadInputError: it cannot, or the payload is nearer than 10 mm to the scene there.
+        """
+        for name, pose in (("start", task.nominal_start), ("goal", task.goal)):
+            motion = self.enter(pose)
+            if motion.joints is None:
+                raise BadInputError(
+                    f"task {task.name}: the {name} at {np.round(pose[:3], 4).tolist()} m must be reachable without"
+                    f" collision, found {motion.reason}: {motion.detail}"
+                )
+            clearance = self.scene.payload_clearance(motion.joints)
+            if clearance < task.least_clearance_m:
+                raise BadInputError(
+                    f"task {task.name}: at the {name} the payload must clear the scene by"
+                    f" {task.least_clearance_m * 1e3:g} mm, found {clearance * 1e3:.1f} mm"
+                )

@@ -1,0 +1,116 @@
+"""The reward of Algorithm 1: from the intent model where it is trusted; elsewhere an oracle must be asked."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.config.settings import Settings
+from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
+from koopdqn.environment.compare import excess
+from koopdqn.intent.model import IntentModel
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+# Where a reward came from.
+RULE: Final = 0
+TRUSTED: Final = 1
+ASKED: Final = 2
+SOURCES: Final = ("rule", "trusted", "asked")
+
+# Below this a motion is none: 1e-9 m or rad is far under any tolerance and over rounding.
+_NO_MOTION = 1e-9
+
+
+class RewardSettings(Settings):
+    """How a comparison becomes a reward."""
+
+    shape: Literal["sign", "margin"] = Field(
+        description="plus or minus one (the paper), or how far inside or outside the tolerance, with the same sign"
+    )
+    prediction: Literal["raw", "rescaled"] = Field(
+        description="compare with the raw prediction (the paper) or with one as long as the agent's step"
+    )
+    size: float = Field(gt=0, description="largest absolute reward of a step")
+    goal: float = Field(ge=0, description="added when a right action reaches the goal")
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known, without asking, of all ten actions from each of N poses.
+
+    Attributes:
+        reached: (N, 10, 7) poses the actions reach.
+        predicted: (N, 7) the pose the intent model prefers.
+        reward: (N, 10) the reward by rule or intent model; where ``known`` is false, the model's untrusted opinion.
+        known: (N, 10) whether the reward stands without asking.
+        source: (N, 10) :data:`RULE` or :data:`TRUSTED` where known, else :data:`ASKED`.
+        at_goal: (N, 10) whether the reached pose counts as the goal.
+    """
+
+    reached: Array
+    predicted: Array
+    reward: Array
+    known: np.ndarray
+    source: np.ndarray
+    at_goal: np.ndarray
+
+
+class IntentReward:
+    """The reward function of a task with a fitted intent.
+
+    Attributes:
+        task: the task.
+        model: the intent model.
+        trust: its trust domain.
+        settings: how a comparison becomes a reward.
+    """
+
+    def __init__(self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings) -> None:
+        """Make the reward function."""
+        self.task = task
+        self.model = model
+        self.trust = trust
+        self.settings = settings
+        self._illegal = ~legal_actions(task)
+
+    def predicted(self, poses: Array) -> Array:
+        """Return the poses (N, 7) that reached poses are compared with, from poses (N, 7)."""
+        if self.settings.prediction == "raw":
+            return self.model.predict(poses)
+        return self.model.preferred(poses, self.task.step_m)
+
+    def value(self, right: bool, at_goal: bool) -> float:
+        """Return the reward of an answer."""
+        return self.settings.size * (1.0 if right else -1.0) + (self.settings.goal if right and at_goal else 0.0)
+
+    def judge(self, poses: Array, steps: np.ndarray) -> Judgement:
+        """Return what is known of all ten actions from poses (N, 7) after ``steps`` (N,) steps."""
+        count = len(poses)
+        reached = reached_poses(poses, self.task)
+        predicted = self.predicted(poses)
+        margin = 1.0 - excess(reached, predicted[:, None], self.task)
+        if self.settings.shape == "sign":
+            reward = np.where(margin >= 0, 1.0, -1.0)
+        else:
+            reward = np.clip(margin, -1.0, 1.0)
+        trusted = self._trusted(poses, reached, steps)
+        unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
+            pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
+        )
+        wrong = unchanged | self._illegal
+        reward = self.settings.size * np.where(wrong, -1.0, reward)
+        at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(count, COUNT)
+        reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
+        source = np.where(wrong, RULE, np.where(trusted, TRUSTED, ASKED))
+        return Judgement(reached, predicted, reward, source != ASKED, source, at_goal)
+
+    def _trusted(self, poses: Array, reached: Array, steps: np.ndarray) -> np.ndarray:
+        count = len(poses)
+        after = self.trust.inside(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT)).reshape(count, COUNT)
+        if self.trust.settings.needs == "reached":
+            return after
+        return after & self.trust.inside(poses, steps)[:, None]

@@ -1,0 +1,44 @@
+"""The scripted oracle: the task's own demonstrator answers, as an expert who is always right (§1)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from koopdqn.environment.compare import within_tolerance
+from koopdqn.feedback.oracle import Answer, Oracle, OracleSettings, Question
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+
+class ScriptedOracleSettings(OracleSettings):
+    """Settings of the scripted oracle: none but its name."""
+
+    def open(self, task: Task, seed: int) -> Oracle:
+        """Return the oracle that answers from the task's demonstrator; it has no chance, so the seed is not used."""
+        return ScriptedOracle(task, self.name)
+
+
+@dataclass(frozen=True)
+class ScriptedOracle:
+    """Says right if the reached pose is within tolerance of where the demonstrator would be.
+
+    Attributes:
+        task: whose demonstrator answers.
+        name: written to the journal as the source.
+    """
+
+    task: Task
+    name: str = "scripted"
+
+    def answer(self, question: Question) -> Answer:
+        """Return the demonstrator's answer."""
+        right = demonstrator_agrees(self.task, question.pose[None], question.reached[None])[0]
+        return Answer(bool(right), self.name)
+
+    def close(self) -> None:
+        """Do nothing: a script holds nothing."""
+
+
+def demonstrator_agrees(task: Task, poses: Array, reached: Array) -> np.ndarray:
+    """Return whether the demonstrator finds each reached pose (N, 7) right from each pose (N, 7), as booleans (N,)."""
+    return within_tolerance(reached, task.demonstrator.next_pose(poses), task)

@@ -1,0 +1,1 @@
+"""Human intent: where a person would go next, as a Koopman model, and where that model can be trusted."""

@@ -1,0 +1,62 @@
+"""Observables: the functions g that lift a state so that its dynamics become linear (Eqs. 5, 6)."""
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn.config.settings import Settings
+from koopdqn.pose import Array
+
+
+class Observables(Settings, ABC):
+    """A lift g of states x (N, d) to z (N, D) whose first d entries are x itself.
+
+    Because the state is part of the lift, the inverse g⁻¹ reads the first d entries (§5.1). Subclass it
+    for new observables; the subclass's fields are its settings.
+    """
+
+    def lift(self, states: Array) -> Array:
+        """Return the lifted states (N, D) of states (N, d)."""
+        return np.concatenate([states, self.features(states)], axis=1)
+
+    def project(self, lifted: Array, dimension: int) -> Array:
+        """Return the states (N, d) of lifted states (N, D): the inverse g⁻¹, Eq. 14."""
+        return lifted[:, :dimension]
+
+    @abstractmethod
+    def features(self, states: Array) -> Array:
+        """Return the nonlinear part (N, D − d) of the lift of states (N, d)."""
+
+
+class SecondOrder(Observables):
+    """The paper's lift: [a, b, c] → [a, b, c, a², b², c², ab, ac, bc] (§5.1), for any number of components."""
+
+    def features(self, states: Array) -> Array:
+        """Return the squares and the products of pairs, in the paper's order."""
+        first, second = np.triu_indices(states.shape[1], k=1)
+        return np.concatenate([states**2, states[:, first] * states[:, second]], axis=1)
+
+
+class RandomFourier(Observables):
+    """Random Fourier features of a Gaussian kernel that vanish at the origin: √(2/F)·(cos(wᵀx + b) − cos b).
+
+    With the goal as origin every observable is zero there, so that K maps the goal to itself: the
+    goal is a fixed point whatever the data (Rahimi & Recht 2007 give the features).
+    """
+
+    count: int = Field(ge=1, le=5000, description="number of features F")
+    length_scale: float = Field(gt=0, description="of the kernel, in units of the demonstrations' spread")
+    seed: int = Field(ge=0, description="of the frequencies w and phases b")
+
+    @cached_property
+    def _draw(self) -> tuple[Array, Array]:
+        rng = np.random.default_rng([self.seed, self.count])
+        return rng.normal(size=(3, self.count)) / self.length_scale, rng.uniform(0, 2 * np.pi, self.count)
+
+    def features(self, states: Array) -> Array:
+        """Return the features (N, F) of states (N, 3)."""
+        frequencies, phases = self._draw
+        waves = np.cos(states @ frequencies + phases) - np.cos(phases)
+        return np.asarray(np.sqrt(2.0 / self.count) * waves)

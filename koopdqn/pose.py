@@ -1,0 +1,188 @@
+"""Poses: the vocabulary every other part speaks.
+
+A pose is an array whose last axis holds 7 numbers: position x, y, z in metres and a unit
+quaternion w, x, y, z. Every function is vectorised over leading axes, written ``...``.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+POSITION: Final = slice(0, 3)
+QUATERNION: Final = slice(3, 7)
+IDENTITY: Final[tuple[float, ...]] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+_SMALL_ANGLE = 1e-8
+
+
+def make(position: ArrayLike, quaternion: ArrayLike) -> Array:
+    """Return poses (..., 7) from positions (..., 3) [m] and quaternions (..., 4), which are normalised."""
+    position = np.asarray(position, dtype=float)
+    quaternion = normalized(quaternion)
+    shape = np.broadcast_shapes(position.shape[:-1], quaternion.shape[:-1])
+    pose = np.empty((*shape, 7))
+    pose[..., POSITION] = position
+    pose[..., QUATERNION] = quaternion
+    return pose
+
+
+def normalized(quaternion: ArrayLike) -> Array:
+    """Return quaternions (..., 4) scaled to unit length.
+
+    Raises:
+        ValueError: a quaternion has no length, or is not finite.
+    """
+    quaternion = np.asarray(quaternion, dtype=float)
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    if not np.all(np.isfinite(length)) or np.any(length < 1e-12):
+        raise ValueError("a quaternion must be finite and longer than 1e-12")
+    return np.asarray(quaternion / length, dtype=float)
+
+
+def canonical(quaternion: ArrayLike) -> Array:
+    """Return, of the two quaternions (..., 4) of each rotation, the one with w ≥ 0."""
+    quaternion = np.asarray(quaternion, dtype=float)
+    return np.asarray(np.where(quaternion[..., :1] < 0, -quaternion, quaternion), dtype=float)
+
+
+def conjugate(quaternion: ArrayLike) -> Array:
+    """Return the inverse of unit quaternions (..., 4)."""
+    return np.asarray(quaternion, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def multiply(left: ArrayLike, right: ArrayLike) -> Array:
+    """Return the Hamilton product (..., 4): first the rotation ``right``, then ``left``."""
+    left, right = np.asarray(left, dtype=float), np.asarray(right, dtype=float)
+    lw, lx, ly, lz = (left[..., i] for i in range(4))
+    rw, rx, ry, rz = (right[..., i] for i in range(4))
+    return np.stack(
+        [
+            lw * rw - lx * rx - ly * ry - lz * rz,
+            lw * rx + lx * rw + ly * rz - lz * ry,
+            lw * ry - lx * rz + ly * rw + lz * rx,
+            lw * rz + lx * ry - ly * rx + lz * rw,
+        ],
+        axis=-1,
+    )
+
+
+def rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
+    """Return vectors (..., 3) turned by unit quaternions (..., 4)."""
+    quaternion, vector = np.asarray(quaternion, dtype=float), np.asarray(vector, dtype=float)
+    w, u = quaternion[..., :1], quaternion[..., 1:]
+    twice = 2.0 * np.cross(u, vector)
+    return vector + w * twice + np.cross(u, twice)
+
+
+def to_rotation_vector(quaternion: ArrayLike) -> Array:
+    """Return rotation vectors (..., 3) [rad] of length 0…π, the logarithm of unit quaternions (..., 4)."""
+    quaternion = canonical(quaternion)
+    axis = quaternion[..., 1:]
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
+    small = sine < _SMALL_ANGLE
+    return axis * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+
+
+def from_rotation_vector(vector: ArrayLike) -> Array:
+    """Return unit quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
+    vector = np.asarray(vector, dtype=float)
+    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
+    # np.sinc(x) is sin(πx)/(πx), smooth at zero.
+    return np.concatenate([np.cos(half), 0.5 * vector * np.sinc(half / np.pi)], axis=-1)
+
+
+def to_matrix(quaternion: ArrayLike) -> Array:
+    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
+    quaternion = np.asarray(quaternion, dtype=float)
+    return np.stack([rotate(quaternion, axis) for axis in np.eye(3)], axis=-1)
+
+
+def from_matrix(matrix: ArrayLike) -> Array:
+    """Return unit quaternions (..., 4), w ≥ 0, of rotation matrices (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.asarray(matrix, dtype=float)
+    flat = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    return canonical(flat.reshape(*matrix.shape[:-2], 4))
+
+
+def to_roll_pitch_yaw(quaternion: ArrayLike) -> Array:
+    """Return roll, pitch, yaw (..., 3) [rad] about the fixed axes x, y, z, pitch within ±π/2.
+
+    At pitch ±π/2 yaw is taken as zero, as roll and yaw are not apart there.
+    """
+    w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=float), -1, 0)
+    sine = np.clip(2.0 * (w * y - z * x), -1.0, 1.0)
+    pitch = np.arcsin(sine)
+    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    locked = np.abs(sine) > 1.0 - 1e-12
+    roll = np.where(locked, 2.0 * np.arctan2(x, w), roll)
+    return np.stack([roll, pitch, np.where(locked, 0.0, yaw)], axis=-1)
+
+
+def from_roll_pitch_yaw(angles: ArrayLike) -> Array:
+    """Return unit quaternions (..., 4) of roll, pitch, yaw (..., 3) [rad] about the fixed axes x, y, z."""
+    angles = np.asarray(angles, dtype=float)
+    axes = np.eye(3)
+    roll, pitch, yaw = (from_rotation_vector(angles[..., i : i + 1] * axes[i]) for i in range(3))
+    return multiply(yaw, multiply(pitch, roll))
+
+
+def position_distance(a: ArrayLike, b: ArrayLike) -> Array:
+    """Return the Euclidean distance (...) [m] between poses (..., 7): Eq. 15 of the paper."""
+    difference = np.asarray(a, dtype=float)[..., POSITION] - np.asarray(b, dtype=float)[..., POSITION]
+    return np.asarray(np.linalg.norm(difference, axis=-1))
+
+
+def rotation_distance(a: ArrayLike, b: ArrayLike) -> Array:
+    """Return the rotation angle (...) [rad], 0…π, between poses (..., 7): Eq. 16, ‖log(R R'ᵀ)‖.
+
+    The norm is that of the rotation vector. It is taken from the half-angle's sine and cosine,
+    which keeps full precision at small angles, where arccos of the dot product loses it.
+    """
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    relative = multiply(a[..., QUATERNION], conjugate(b[..., QUATERNION]))
+    return np.asarray(2.0 * np.arctan2(np.linalg.norm(relative[..., 1:], axis=-1), np.abs(relative[..., 0])))
+
+
+def turned_toward(quaternion: ArrayLike, goal: ArrayLike, angle: ArrayLike) -> Array:
+    """Return quaternions (..., 4) turned by ``angle`` (...) [rad] along the geodesic to ``goal``, clamped there.
+
+    This is unit quaternion interpolation (§3.4). Half a turn away the geodesic is not unique;
+    the sense of the quaternion as given then decides.
+    """
+    quaternion, goal = np.asarray(quaternion, dtype=float), np.asarray(goal, dtype=float)
+    relative = to_rotation_vector(multiply(goal, conjugate(quaternion)))
+    total = np.linalg.norm(relative, axis=-1, keepdims=True)
+    angle = np.asarray(angle, dtype=float)[..., None]
+    share = np.clip(angle / np.where(total > 0, total, 1.0), 0.0, 1.0)
+    result = normalized(multiply(from_rotation_vector(share * relative), quaternion))
+    return np.where(angle >= total, goal, result)
+
+
+def moved_toward(position: ArrayLike, goal: ArrayLike, distance: ArrayLike) -> Array:
+    """Return positions (..., 3) moved by ``distance`` (...) [m] straight to ``goal``, clamped there."""
+    position, goal = np.asarray(position, dtype=float), np.asarray(goal, dtype=float)
+    total = np.linalg.norm(goal - position, axis=-1, keepdims=True)
+    distance = np.asarray(distance, dtype=float)[..., None]
+    share = np.clip(distance / np.where(total > 0, total, 1.0), 0.0, 1.0)
+    return np.where(distance >= total, goal, position + share * (goal - position))
+
+
+def compose(parent: ArrayLike, child: ArrayLike) -> Array:
+    """Return poses (..., 7) of ``child``, given in the frame ``parent``, in the frame of ``parent``'s own parent."""
+    parent, child = np.asarray(parent, dtype=float), np.asarray(child, dtype=float)
+    position = parent[..., POSITION] + rotate(parent[..., QUATERNION], child[..., POSITION])
+    return make(position, multiply(parent[..., QUATERNION], child[..., QUATERNION]))
+
+
+def inverse(pose: ArrayLike) -> Array:
+    """Return the inverse transforms (..., 7) of poses."""
+    pose = np.asarray(pose, dtype=float)
+    back = conjugate(pose[..., QUATERNION])
+    return make(-rotate(back, pose[..., POSITION]), back)

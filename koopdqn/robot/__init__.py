@@ -1,0 +1,1 @@
+"""The robot: what an arm is, its kinematics, and the scene it stands in."""

@@ -1,0 +1,182 @@
+"""Scenes: an arm, what it holds and what stands around it, composed with dm_control and run by MuJoCo."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from dm_control import mjcf
+
+from koopdqn import pose
+from koopdqn.config.resources import asset_path
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.robot.arm import Arm
+
+if TYPE_CHECKING:
+    from koopdqn.tasks.task import Task
+
+_ARENA = "arena.xml"
+_FLOOR = "floor"
+_TOOL = "tool"
+
+
+class SceneBuilder:
+    """Composes a scene: an arm at the world's origin (its base frame is the world frame), a tool, furniture."""
+
+    def __init__(self, arm: Arm) -> None:
+        """Start a scene with the arena and the arm, loaded from the arm's MJCF file."""
+        self.arm = arm
+        self._arena = mjcf.from_path(str(asset_path(_ARENA)))
+        self._robot = mjcf.from_path(str(asset_path(arm.asset)))
+        # A keyframe's numbers would be given to the wrong joints if another joint came before the arm's.
+        for key in self._robot.find_all("key"):
+            key.remove()
+        self._arena.attach(self._robot)
+        self._tool = mjcf.RootElement(model=_TOOL)
+        # A controller that knows its payload carries its weight, as a real UR does.
+        self._grip = self._tool.worldbody.add("body", name="grip", gravcomp=1)
+        self.floor_height = float(self._arena.find("geom", _FLOOR).pos[2])
+
+    def furniture_box(
+        self, name: str, center: Sequence[float], half_size: Sequence[float], rgba: Sequence[float]
+    ) -> None:
+        """Add a box that stands still: center and half sizes (3,) [m] in the world."""
+        self._arena.worldbody.add("geom", name=name, type="box", pos=center, size=half_size, rgba=rgba)
+
+    def furniture_capsule(
+        self, name: str, start: Sequence[float], end: Sequence[float], radius: float, rgba: Sequence[float]
+    ) -> None:
+        """Add a capsule that stands still, between two points (3,) [m] in the world."""
+        ends = [*start, *end]
+        self._arena.worldbody.add("geom", name=name, type="capsule", fromto=ends, size=[radius], rgba=rgba)
+
+    def tool_box(
+        self,
+        name: str,
+        center: Sequence[float],
+        half_size: Sequence[float],
+        rgba: Sequence[float],
+        mass: float,
+        payload: bool = False,
+    ) -> None:
+        """Add a box to the tool: center and half sizes (3,) [m] in the flange frame, mass [kg]."""
+        self._grip.add(
+            "geom", name=_tool_name(name, payload), type="box", pos=center, size=half_size, rgba=rgba, mass=mass
+        )
+
+    def tool_cylinder(
+        self,
+        name: str,
+        start: Sequence[float],
+        end: Sequence[float],
+        radius: float,
+        rgba: Sequence[float],
+        mass: float,
+        payload: bool = False,
+    ) -> None:
+        """Add a cylinder to the tool, between two points (3,) [m] in the flange frame, mass [kg]."""
+        ends = [*start, *end]
+        self._grip.add(
+            "geom", name=_tool_name(name, payload), type="cylinder", fromto=ends, size=[radius], rgba=rgba, mass=mass
+        )
+
+    def build(self) -> "Scene":
+        """Compile the scene."""
+        site = self._robot.find("site", self.arm.flange_site)
+        site.attach(self._tool)
+        root = self._arena.root_model
+        model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
+        return Scene(model, self.arm, prefix=f"{self._robot.model}/")
+
+
+def _tool_name(name: str, payload: bool) -> str:
+    return f"payload_{name}" if payload else name
+
+
+class Scene:
+    """A compiled scene. It answers for joint angles: where is the flange, and does anything touch?
+
+    Attributes:
+        model: the MuJoCo model.
+        data: the MuJoCo state that the questions below overwrite.
+        arm: the arm in it.
+    """
+
+    def __init__(self, model: Any, arm: Arm, prefix: str) -> None:
+        """Wrap a compiled model in which the arm's names carry a prefix."""
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.arm = arm
+        self.joint_index = np.array([model.joint(prefix + name).qposadr[0] for name in arm.joint_names])
+        self.velocity_index = np.array([model.joint(prefix + name).dofadr[0] for name in arm.joint_names])
+        driven = model.actuator_trnid[:, 0].tolist()
+        self.actuator_index = np.array([driven.index(model.joint(prefix + name).id) for name in arm.joint_names])
+        self._site = model.site(prefix + arm.flange_site).id
+        names = [model.geom(i).name for i in range(model.ngeom)]
+        self._payload = [i for i, name in enumerate(names) if "payload_" in name]
+        fixed = [i for i in range(model.ngeom) if model.geom_bodyid[i] == 0 and model.geom_contype[i]]
+        self._furniture = [i for i in fixed if names[i] != _FLOOR]
+
+    def place(self, joints: Array) -> None:
+        """Set the arm to joint angles (6,) [rad] and update where everything is."""
+        self.data.qpos[self.joint_index] = joints
+        mujoco.mj_kinematics(self.model, self.data)
+
+    def flange_pose(self, joints: Array) -> Array:
+        """Return the flange's pose (7,) at joint angles (6,) [rad], by MuJoCo's forward kinematics."""
+        self.place(joints)
+        return self.current_flange_pose()
+
+    def current_flange_pose(self) -> Array:
+        """Return the flange's pose (7,) in the present state of ``data``."""
+        matrix = self.data.site_xmat[self._site].reshape(3, 3)
+        return pose.make(self.data.site_xpos[self._site], pose.from_matrix(matrix))
+
+    def contact(self, joints: Array) -> str:
+        """Return which two things touch at joint angles (6,) [rad], as "a with b", or an empty string."""
+        self.place(joints)
+        mujoco.mj_collision(self.model, self.data)
+        return self.current_contact()
+
+    def current_contact(self) -> str:
+        """Return which two things touch in the present state of ``data``, or an empty string."""
+        if not self.data.ncon:
+            return ""
+        for contact in self.data.contact:
+            if contact.dist < 0:
+                first, second = (self.thing(int(geom)) for geom in contact.geom)
+                return f"{first} with {second}"
+        return ""
+
+    def thing(self, geom: int) -> str:
+        """Return a name for people of a geom: its own, or its body's if it has none."""
+        name = self.model.geom(geom).name or self.model.body(self.model.geom_bodyid[geom]).name
+        return str(name.rsplit("/", 1)[-1].removeprefix("payload_"))
+
+    def payload_clearance(self, joints: Array, at_most: float = 0.2) -> float:
+        """Return the least distance [m] between payload and furniture at joints (6,) [rad], capped at ``at_most``."""
+        self.place(joints)
+        segment = np.zeros(6)
+        return min(
+            (
+                mujoco.mj_geomDistance(self.model, self.data, mine, theirs, at_most, segment)
+                for mine in self._payload
+                for theirs in self._furniture
+            ),
+            default=at_most,
+        )
+
+
+def build_scene(task: "Task", arm: Arm) -> Scene:
+    """Return the scene of a task with an arm.
+
+    Raises:
+        BadInputError: MuJoCo refuses the scene, or the payload cannot stand clear at start and goal.
+    """
+    builder = SceneBuilder(arm)
+    task.furnish(builder)
+    try:
+        return builder.build()
+    except ValueError as error:
+        raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {error}") from error

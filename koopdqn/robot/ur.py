@@ -1,0 +1,300 @@
+"""Closed-form kinematics of the Universal Robots family.
+
+All arms of the family share one geometry: joints 2, 3 and 4 are parallel, and the wrist offsets
+d4, d5, d6 are at right angles, so that six numbers of the Denavit–Hartenberg table (d1, a2, a3,
+d4, d5, d6) tell them apart. The inverse has up to eight branches: two for the shoulder, two for
+the wrist, two for the elbow. The frames and signs are those of Hawkins, "Analytic Inverse
+Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013), and of the maker's own DH table.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import model_validator
+
+from koopdqn.config.settings import Name, Names, Settings, Vector6
+from koopdqn.pose import Array
+from koopdqn.robot.arm import InverseResult
+from koopdqn.robot.scalars import TURN, Seven, Six, joint_scalars, pose_scalars, residuals, unwrapped
+
+_REACH_SLACK: Final = 1e-9
+"""How far rounding may push the argument of an arc cosine beyond ±1."""
+_SINGULAR_SINE: Final = 1e-7
+"""|sin q5| below which the axes of joints 4 and 6 count as parallel, and q6 is the seed's."""
+
+_Number = TypeVar("_Number", float, Array)
+
+
+class URArm(Settings):
+    """An arm of the UR family, given by its DH numbers [m] and its limits; an :class:`koopdqn.robot.arm.Arm`.
+
+    The base frame is the maker's "Base" (the DH frame: ROS ``base_link`` turned by π about z), the
+    flange frame is DH frame 6 (``tool0``), z outward. Attributes are as in ``Arm``.
+
+    Attributes:
+        d1: height [m] of the shoulder axis above the base.
+        a2: length [m] of the upper arm along its x axis, negative.
+        a3: length [m] of the forearm along its x axis, negative.
+        d4: offset [m] of the wrist from the plane of the shoulder.
+        d5: offset [m] between the axes of joints 4 and 6.
+        d6: offset [m] of the flange from the axis of joint 5.
+
+    Raises:
+        ValueError: on construction, a2 or a3 is zero, the joints have not six different names, a range of
+            angles is empty or does not hold home, or a speed or torque limit is not positive.
+    """
+
+    name: Name
+    asset: Name
+    joint_names: Names
+    flange_site: Name
+    d1: float
+    a2: float
+    a3: float
+    d4: float
+    d5: float
+    d6: float
+    joint_lower: Vector6
+    joint_upper: Vector6
+    velocity_limits: Vector6
+    torque_limits: Vector6
+    home: Vector6
+
+    @model_validator(mode="after")
+    def _check(self) -> "URArm":
+        for key, length in (("a2", self.a2), ("a3", self.a3)):
+            if length == 0.0:
+                raise ValueError(f"{key}: must be a length other than 0 m, found {length}")
+        if len(set(self.joint_names)) != 6 or len(self.joint_names) != 6:
+            raise ValueError(f"joint_names: must be 6 different names, found {list(self.joint_names)}")
+        for key, unit, limits in (
+            ("velocity_limits", "rad/s", self.velocity_limits),
+            ("torque_limits", "Nm", self.torque_limits),
+        ):
+            if min(limits) <= 0.0:
+                raise ValueError(f"{key}: must be above 0 {unit}, found {min(limits)}")
+        for joint, lower, upper, home in zip(
+            self.joint_names, self.joint_lower, self.joint_upper, self.home, strict=True
+        ):
+            if not lower < upper:
+                raise ValueError(f"joint_lower: must be below joint_upper for {joint}, found {lower} and {upper} rad")
+            if not lower <= home <= upper:
+                raise ValueError(f"home: must lie within {lower}…{upper} rad for {joint}, found {home}")
+        return self
+
+    def forward(self, joints: ArrayLike) -> Array:
+        """Return the flange poses (..., 7) in Base of joint angles (..., 6) [rad].
+
+        Raises:
+            ValueError: the last axis does not hold six angles.
+        """
+        joints = np.asarray(joints, dtype=float)
+        if joints.ndim == 0 or joints.shape[-1] != 6:
+            raise ValueError(f"joints must have shape (..., 6), found {joints.shape}")
+        q1, q2, q3, q4, q5, q6 = np.moveaxis(joints, -1, 0)
+        return np.stack(self._flange(q1, q2, q3, q4, q5, q6, np.cos, np.sin), axis=-1)
+
+    def inverse(self, pose: ArrayLike, seed: ArrayLike) -> InverseResult:
+        """Return the joint angles that bring the flange to ``pose`` (7,) in Base, nearest ``seed`` (6,) [rad].
+
+        Of all branches and whole turns within the joint limits it takes the one whose largest joint
+        step from the seed is smallest, then the one with the smallest norm. Where the next value of
+        a joint would pass its limit, the solution comes back a whole turn away: callers that
+        follow a path check the step.
+
+        Where |sin q5| < 1e-7 the pose no longer determines q6 apart from q2, q3, q4: q6 is then
+        as near the seed's as the elbow's reach allows, and the residual may reach 1e-7 rad.
+        Elsewhere the residuals are rounding alone, under 1e-9.
+
+        A pose that cannot be reached gives ``success`` False and a reason, never an exception.
+
+        Raises:
+            ValueError: the pose or the seed has a wrong shape, is not finite, or the quaternion has no length.
+        """
+        target = pose_scalars(pose)
+        near = joint_scalars(seed)
+        lower, upper = self.joint_lower, self.joint_upper
+        misses: list[float] = []
+        best: list[float] | None = None
+        best_step = best_norm = math.inf
+        for branch in self._branches(target, near, misses):
+            step = norm = 0.0
+            joints: list[float] = []
+            for angle, start, low, high in zip(branch, near, lower, upper, strict=True):
+                nearest = unwrapped(angle, start, low, high)
+                if nearest is None:
+                    break
+                joints.append(nearest)
+                difference = abs(nearest - start)
+                if difference > step:
+                    if difference > best_step:
+                        break
+                    step = difference
+                norm += difference * difference
+            else:
+                if step < best_step or norm < best_norm:
+                    best, best_step, best_norm = joints, step, norm
+        reason = self._why_not(target, near, misses) if best is None else ""
+        q1, q2, q3, q4, q5, q6 = near if best is None else best
+        reached = self._flange(q1, q2, q3, q4, q5, q6, math.cos, math.sin)
+        answer = np.array((q1, q2, q3, q4, q5, q6))
+        answer.setflags(write=False)
+        position, rotation = residuals(reached, target)
+        return InverseResult(answer, position, rotation, best is not None, reason)
+
+    def solutions(self, pose: ArrayLike, seed: ArrayLike | None = None) -> Array:
+        """Return all solutions (k, 6) [rad], k ≤ 8, that bring the flange to ``pose`` (7,) in Base within the limits.
+
+        There is one row a branch, unwrapped to lie nearest ``seed`` (home if None), nearest row
+        first by largest joint step. Where q5 is singular, q6 follows the seed, as in :meth:`inverse`.
+
+        Raises:
+            ValueError: the pose or the seed has a wrong shape, is not finite, or the quaternion has no length.
+        """
+        near = self.home if seed is None else joint_scalars(seed)
+        found: list[list[float]] = []
+        for branch in self._branches(pose_scalars(pose), near, []):
+            candidates = map(unwrapped, branch, near, self.joint_lower, self.joint_upper)
+            joints = [angle for angle in candidates if angle is not None]
+            if len(joints) == 6:
+                found.append(joints)
+        found.sort(key=lambda joints: max(abs(angle - start) for angle, start in zip(joints, near, strict=True)))
+        return np.array(found).reshape(-1, 6)
+
+    def _flange(
+        self,
+        q1: _Number,
+        q2: _Number,
+        q3: _Number,
+        q4: _Number,
+        q5: _Number,
+        q6: _Number,
+        cos: Callable[[_Number], _Number],
+        sin: Callable[[_Number], _Number],
+    ) -> tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]:
+        """Return x, y, z [m] and the quaternion w, x, y, z of the flange, for numbers and for arrays alike."""
+        q23 = q2 + q3
+        q234 = q23 + q4
+        c1, s1, c234, s234, c5, s5 = cos(q1), sin(q1), cos(q234), sin(q234), cos(q5), sin(q5)
+        # In frame 1: x forward in the arm's plane, y up, z out of the plane.
+        x1 = self.a2 * cos(q2) + self.a3 * cos(q23) + self.d5 * s234 - self.d6 * s5 * c234
+        y1 = self.a2 * sin(q2) + self.a3 * sin(q23) - self.d5 * c234 - self.d6 * s5 * s234
+        z1 = self.d4 + self.d6 * c5
+        # Rz(q1) Rx(π/2) Rz(q234) as a quaternion, then R₋y(q5), then Rz(q6).
+        total, difference, half = 0.5 * (q1 + q234), 0.5 * (q1 - q234), math.sqrt(0.5)
+        w, x, y, z = half * cos(total), half * cos(difference), half * sin(difference), half * sin(total)
+        c, s = cos(0.5 * q5), sin(0.5 * q5)
+        w, x, y, z = w * c + y * s, x * c + z * s, y * c - w * s, z * c - x * s
+        c, s = cos(0.5 * q6), sin(0.5 * q6)
+        w, x, y, z = w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s
+        return c1 * x1 + s1 * z1, s1 * x1 - c1 * z1, self.d1 + y1, w, x, y, z
+
+    def _branches(self, target: Seven, near: Six, misses: list[float]) -> Iterator[Six]:
+        """Yield every branch of the inverse, angles not yet unwrapped; where q5 is singular, q6 follows ``near``.
+
+        Each branch whose wrist the elbow cannot reach adds the wrist's distance from the shoulder [m] to ``misses``.
+        """
+        _, _, _, w, x, y, z = target
+        r11, r12, r13 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+        r21, r22, r23 = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+        r31, r32 = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x)
+        a2, a3, d4, d5 = self.a2, self.a3, self.d4, self.d5
+        cx, cy, cz = _wrist_centre(target, self.d6)
+        height = cz - self.d1
+        radius = math.hypot(cx, cy)
+        if abs(d4) > radius * (1.0 + _REACH_SLACK):
+            return
+        bearing, opening = math.atan2(cy, cx) + 0.5 * math.pi, math.acos(max(-1.0, min(1.0, d4 / radius)))
+        for q1 in (bearing + opening, bearing - opening) if opening else (bearing,):
+            c1, s1 = math.cos(q1), math.sin(q1)
+            # The axis of joint 4 as the flange sees it: (sin q5 cos q6, -sin q5 sin q6, cos q5).
+            ax, ay, az = s1 * r11 - c1 * r21, s1 * r12 - c1 * r22, s1 * r13 - c1 * r23
+            forward_x, forward_y = c1 * r11 + s1 * r21, c1 * r12 + s1 * r22
+            forward = c1 * cx + s1 * cy
+            sine = math.hypot(ax, ay)
+            wrists: tuple[tuple[float, float], ...]
+            if sine < _SINGULAR_SINE:
+                q6 = near[5]
+                q234 = math.atan2(
+                    -forward_x * math.sin(q6) - forward_y * math.cos(q6), r31 * math.sin(q6) + r32 * math.cos(q6)
+                )
+                turn = self._into_reach(q234, forward, height)
+                q6 -= turn if az > 0.0 else -turn
+                # Projecting on the held q6 keeps the sign of q5, and so carries a path smoothly through zero.
+                wrists = ((math.atan2(ax * math.cos(q6) - ay * math.sin(q6), az), q6),)
+            else:
+                q5, q6 = math.atan2(sine, az), math.atan2(-ay, ax)
+                wrists = ((q5, q6), (-q5, q6 + math.pi))
+            for q5, q6 in wrists:
+                c6, s6 = math.cos(q6), math.sin(q6)
+                s234, c234 = -(forward_x * s6 + forward_y * c6), r31 * s6 + r32 * c6
+                q234 = math.atan2(s234, c234)
+                wx, wy = forward - d5 * s234, height + d5 * c234
+                cosine = (wx * wx + wy * wy - a2 * a2 - a3 * a3) / (2.0 * a2 * a3)
+                if abs(cosine) > 1.0 + _REACH_SLACK:
+                    misses.append(math.hypot(wx, wy))
+                    continue
+                elbow = math.acos(max(-1.0, min(1.0, cosine)))
+                for q3 in (elbow, -elbow) if 0.0 < elbow < math.pi else (elbow,):
+                    q2 = math.atan2(wy, wx) - math.atan2(a3 * math.sin(q3), a2 + a3 * math.cos(q3))
+                    yield q1, q2, q3, q234 - q2 - q3, q5, q6
+
+    def _into_reach(self, q234: float, forward: float, height: float) -> float:
+        """Return the smallest turn [rad] of q234 that brings the wrist within the elbow's reach; 0 if none does.
+
+        Where q5 is singular, joint 6 can make up for such a turn. The wrist moves on a circle of
+        radius d5 about the wrist centre, at ``forward`` and ``height`` [m] in the arm's plane.
+        """
+        span = math.hypot(forward, height)
+        if span * self.d5 == 0.0:
+            return 0.0
+        angle = math.remainder(q234 + math.atan2(forward, height), TURN)
+        middle, scale = span * span + self.d5 * self.d5, 2.0 * self.d5 * span
+        bounds = [
+            math.acos(max(-1.0, min(1.0, (distance * distance - middle) / scale)))
+            for distance in (abs(self.a2) + abs(self.a3), abs(self.a2) - abs(self.a3))
+        ]
+        return math.copysign(max(min(bounds), min(max(bounds), abs(angle))), angle) - angle
+
+    def _why_not(self, target: Seven, near: Six, misses: list[float]) -> str:
+        """Return why no branch will do: the limit that stops the nearest one, or what is out of reach."""
+        broken: list[tuple[float, str]] = []
+        for branch in self._branches(target, near, []):
+            worst = 0.0, ""
+            for name, angle, start, low, high in zip(
+                self.joint_names, branch, near, self.joint_lower, self.joint_upper, strict=True
+            ):
+                if unwrapped(angle, start, low, high) is None:
+                    angle = math.remainder(angle, TURN)
+                    excess = min(abs(math.remainder(angle - low, TURN)), abs(math.remainder(angle - high, TURN)))
+                    worst = max(
+                        worst, (excess, f"{name} would be at {angle:.4f} rad, allowed {low:.4f}…{high:.4f} rad")
+                    )
+            broken.append(worst)
+        if broken:
+            return f"joint limit: {min(broken)[1]}"
+        longest, shortest = abs(self.a2) + abs(self.a3), abs(abs(self.a2) - abs(self.a3))
+        if misses:
+            miss = min(misses, key=lambda distance: max(distance - longest, shortest - distance))
+            return (
+                f"out of reach: the wrist would be {miss:.4f} m from the shoulder, "
+                f"allowed {shortest:.4f}…{longest:.4f} m"
+            )
+        x, y, _ = _wrist_centre(target, self.d6)
+        return (
+            f"out of reach: the wrist centre would be {math.hypot(x, y):.4f} m from the base axis, "
+            f"at least {abs(self.d4):.4f} m (d4) needed"
+        )
+
+
+def _wrist_centre(target: Seven, d6: float) -> tuple[float, float, float]:
+    """Return the point d6 behind the flange [m], where the axes of joints 5 and 6 meet."""
+    px, py, pz, w, x, y, z = target
+    return (
+        px - d6 * 2.0 * (x * z + w * y),
+        py - d6 * 2.0 * (y * z - w * x),
+        pz - d6 * (1.0 - 2.0 * (x * x + y * y)),
+    )

@@ -1,0 +1,122 @@
+"""What a task is: its poses, its scene, its demonstrator and its rule."""
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field, Strict, model_validator
+
+from koopdqn import pose
+from koopdqn.config.settings import Settings, Vector3, Vector4
+from koopdqn.pose import Array
+from koopdqn.tasks.demonstrator import Demonstrator
+from koopdqn.tasks.path import SmoothPath
+
+if TYPE_CHECKING:
+    from koopdqn.robot.scene import SceneBuilder
+
+Waypoints = Annotated[tuple[Vector3, ...], Strict(False), Field(min_length=2)]
+
+# Half the angle between neighbours of the six axes and the goal direction is at most 54.7°, an error of
+# 2 sin(54.7°/2) = 0.92 of a step; so the step may exceed the tolerance by at most 1/0.92.
+MAX_STEP_PER_TOLERANCE = 1.087
+
+
+class PaperSettings(Settings):
+    """What Table A1 and Appendix 7.1 of the paper give for one task."""
+
+    hidden: int = Field(gt=0, description="units in each of the two hidden layers")
+    learning_rate: float = Field(gt=0)
+    episodes: int = Field(gt=0)
+
+
+class Task(Settings, ABC):
+    """A task: from a start region to a goal, as a person would do it. Subclass it for a new one.
+
+    All poses are of the flange in UR Base.
+    """
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    waypoints: Waypoints = Field(description="flange positions of the nominal path, start first, goal last [m]")
+    start_quaternion: Vector4
+    goal_quaternion: Vector4
+    start_half_range_m: Vector3 = Field(description="half the start region along each axis [m]")
+    step_m: float = Field(gt=0, description="distance of one action [m]")
+    position_tolerance_m: float = Field(gt=0, description="to compare poses [m]")
+    rotation_tolerance_rad: float = Field(gt=0, description="to compare poses [rad]")
+    goal_tolerance_m: float = Field(gt=0, description="within it the goal counts as reached [m]")
+    goal_rotation_tolerance_rad: float = Field(gt=0)
+    pull_back_m: float = Field(gt=0, description="how far ahead the demonstrator looks along its path [m]")
+    variation_m: float = Field(ge=0, description="largest sideways wander of a demonstration [m]")
+    least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
+    paper: PaperSettings
+
+    @model_validator(mode="after")
+    def _check_step(self) -> "Task":
+        ratio = self.step_m / self.position_tolerance_m
+        if not 1.0 < ratio <= MAX_STEP_PER_TOLERANCE:
+            raise ValueError(
+                f"step_m must be over position_tolerance_m and at most {MAX_STEP_PER_TOLERANCE} times it"
+                f" ({self.position_tolerance_m:g} < step_m <= {MAX_STEP_PER_TOLERANCE * self.position_tolerance_m:g}),"
+                f" found {self.step_m:g}"
+            )
+        for name in ("start_quaternion", "goal_quaternion"):
+            length = float(np.linalg.norm(getattr(self, name)))
+            if abs(length - 1.0) > 1e-3:
+                raise ValueError(f"{name} must have length 1 within 0.001, found {length:g}")
+        if min(self.start_half_range_m) < 0:
+            raise ValueError(f"start_half_range_m must not be negative, found {self.start_half_range_m}")
+        return self
+
+    @property
+    @abstractmethod
+    def orientation(self) -> Literal["held", "learned"]:
+        """Whether orientation is held throughout or is part of what is learned."""
+
+    @abstractmethod
+    def furnish(self, scene: "SceneBuilder") -> None:
+        """Add the task's tool, payload and furniture to a scene."""
+
+    @abstractmethod
+    def rule_broken(self, poses: Array) -> np.ndarray:
+        """Return whether each pose (N, 7) breaks the task's own rule, as booleans (N,)."""
+
+    @property
+    @abstractmethod
+    def rule(self) -> str:
+        """The task's own rule in a few words."""
+
+    @cached_property
+    def goal(self) -> Array:
+        """The goal pose (7,)."""
+        return pose.make(self.waypoints[-1], self.goal_quaternion)
+
+    @cached_property
+    def nominal_start(self) -> Array:
+        """The middle of the start region, a pose (7,)."""
+        return pose.make(self.waypoints[0], self.start_quaternion)
+
+    @cached_property
+    def nominal_path(self) -> SmoothPath:
+        """The path a person means, without variation."""
+        return SmoothPath.through(self.waypoints)
+
+    @cached_property
+    def demonstrator(self) -> Demonstrator:
+        """The person's law without variation: what the scripted oracle answers from."""
+        return self.demonstrator_on(self.nominal_path)
+
+    def demonstrator_on(self, path: SmoothPath) -> Demonstrator:
+        """Return the person's law on another path."""
+        return Demonstrator(path, self.goal, self.step_m, self.pull_back_m)
+
+    def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Return ``count`` poses (count, 7) drawn evenly from the start region."""
+        half = np.array(self.start_half_range_m)
+        return pose.make(self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3)), self.start_quaternion)
+
+    def reached(self, poses: Array) -> np.ndarray:
+        """Return whether each pose (N, 7) counts as the goal, as booleans (N,)."""
+        near = pose.position_distance(poses, self.goal) <= self.goal_tolerance_m
+        return near & (pose.rotation_distance(poses, self.goal) <= self.goal_rotation_tolerance_rad)

@@ -1,0 +1,60 @@
+"""What happened during training: for ``train.json``, the curves and the checkpoint."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from koopdqn.environment.reward import SOURCES
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check of the policy on held-out starts during training."""
+
+    updates: int
+    env_steps: int
+    episodes: int
+    success_rate: float
+    failures: dict[str, int]
+
+
+@dataclass
+class History:
+    """What happened, for ``train.json`` and the curves.
+
+    Attributes:
+        rewards: reward gathered in each finished episode.
+        lengths: steps of each finished episode.
+        exploring: whether each began along a demonstration.
+        losses: mean loss between checks.
+        checks: all checks.
+        judged: rewards given, by source (:data:`~koopdqn.environment.reward.SOURCES`).
+        agreed: of those, how many the demonstrator agrees with.
+    """
+
+    rewards: list[float] = field(default_factory=list)
+    lengths: list[int] = field(default_factory=list)
+    exploring: list[bool] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)
+    judged: np.ndarray = field(default_factory=lambda: np.zeros(len(SOURCES), dtype=np.int64))
+    agreed: np.ndarray = field(default_factory=lambda: np.zeros(len(SOURCES), dtype=np.int64))
+
+    def state(self) -> dict[str, Any]:
+        """Return everything held, as JSON values."""
+        return {**asdict(self), "judged": self.judged.tolist(), "agreed": self.agreed.tolist()}
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> "History":
+        """Return the history that :meth:`state` described."""
+        arrays = {name: np.array(state[name], dtype=np.int64) for name in ("judged", "agreed")}
+        return cls(**{**state, **arrays, "checks": [Check(**check) for check in state["checks"]]})
+
+    def agreement(self) -> dict[str, float | None]:
+        """Return the share of rewards that agree with the demonstrator, by source; None where none was given."""
+        return {
+            name: float(self.agreed[i] / self.judged[i]) if self.judged[i] else None
+            for i, name in enumerate(SOURCES)
+            if name != "rule"
+        }

@@ -1,0 +1,337 @@
+"""The trainer: Algorithm 1, the Koopman operator-based knowledge-guided DQN, over many episodes at once."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+from koopdqn.dqn.learner import Learner
+from koopdqn.dqn.observation import observe, size
+from koopdqn.dqn.policy import Policy
+from koopdqn.dqn.replay import ReplayBuffer, Transitions
+from koopdqn.dqn.settings import AgentSettings
+from koopdqn.environment.episodes import EpisodeBatch, StartSampler
+from koopdqn.environment.reward import ASKED, RULE, TRUSTED, IntentReward, Judgement
+from koopdqn.feedback.oracle import Oracle, Question
+from koopdqn.feedback.scripted import demonstrator_agrees
+from koopdqn.pose import Array
+from koopdqn.rollout import SUCCESS, roll_out
+from koopdqn.training.history import Check, History
+from koopdqn.training.settings import TrainSettings
+from koopdqn.workcell import Workcell
+
+_COUNTERS = (
+    "env_steps",
+    "questions",
+    "next_episode",
+    "rounds",
+    "learned_at",
+    "passed",
+    "best_success",
+    "best_update",
+)
+
+
+class Trainer:
+    """Learns a task's path. Make it, perhaps :meth:`restore` it, then :meth:`run` it.
+
+    Attributes:
+        history: what happened so far.
+        learner: the networks.
+        best: the policy arrays of the best check so far.
+        env_steps: actions tried so far: each transition that was stored.
+        questions: questions that reached the oracle so far.
+        learned_at: ``env_steps`` when learned, or −1.
+    """
+
+    def __init__(
+        self,
+        workcell: Workcell,
+        reward: IntentReward,
+        trajectories: list[Array],
+        oracle: Oracle,
+        agent: AgentSettings,
+        settings: TrainSettings,
+        seed: int,
+    ) -> None:
+        """Prepare a run.
+
+        Args:
+            workcell: task, arm and scene.
+            reward: the task's reward function.
+            trajectories: demonstrated poses (N, 7) at the agent's step.
+            oracle: who answers where the model is not trusted.
+            agent: how it learns.
+            settings: when it stops.
+            seed: fixes everything.
+        """
+        torch.set_num_threads(settings.threads)
+        self.workcell = workcell
+        self.reward = reward
+        self.agent = agent
+        self.settings = settings
+        self._task = workcell.task
+        self._oracle = oracle
+        weights, self._explore_rng, self._batch_rng = (np.random.default_rng([seed, 2, i]) for i in range(3))
+        self.learner = Learner(size(self._task), agent, weights)
+        self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
+        self._replay = ReplayBuffer(agent.replay, size(self._task))
+        self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
+        self._starts = StartSampler(
+            self._task,
+            workcell.reachability,
+            trajectories,
+            agent.exploring_starts,
+            agent.exploring_spread_m,
+            agent.exploring_steps,
+            self.step_limit,
+        )
+        self._batch = EpisodeBatch.empty(agent.episodes_at_once)
+        self.next_episode = 0
+        for index in range(len(self._batch)):
+            self._begin(index)
+        check_rng = np.random.default_rng([settings.check_seed, 3])
+        self._check_starts = workcell.reachability.draw_starts(self._task, check_rng, settings.check_starts)
+        self.history = History()
+        self.env_steps = 0
+        self.questions = 0
+        self.rounds = 0
+        self.learned_at = -1
+        self.passed = 0
+        self.best_success = -1.0
+        self.best_update = 0
+        self.best = self.learner.policy_arrays()
+        self._losses: list[float] = []
+
+    @property
+    def learned(self) -> bool:
+        """Whether enough checks in a row were passed."""
+        return self.learned_at >= 0
+
+    def run(
+        self,
+        on_check: Callable[[Check], None] = lambda check: None,
+        on_round: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Train until learned or at a limit.
+
+        Args:
+            on_check: called after every check, when the run may be saved.
+            on_round: called after every step of all episodes.
+        """
+        while not self._finished():
+            self._round()
+            for _ in range(self.agent.updates_per_round):
+                if self.env_steps < self.agent.warm_up:
+                    break
+                self._losses.append(self.learner.update(self._replay.sample(self._batch_rng, self.agent.batch)))
+                if self.learner.updates % self.settings.check_every == 0:
+                    on_check(self._check())
+            self.rounds += 1
+            on_round()
+
+    def _finished(self) -> bool:
+        if self.env_steps >= self.settings.max_steps or len(self.history.rewards) >= self.settings.max_episodes:
+            return True
+        if not self.learned:
+            return False
+        return self.settings.stop == "learned" or self.env_steps >= self.settings.extend * self.learned_at
+
+    def _begin(self, index: int) -> None:
+        self._starts.begin(self._batch, index, self.next_episode, self._explore_rng)
+        self.next_episode += 1
+
+    def _round(self) -> None:
+        """Let every episode try one action, after all that is known anyway where ``trials`` says so."""
+        judgement = self.reward.judge(self._batch.poses, self._batch.steps)
+        observations = observe(self._batch.poses, self._task)
+        values = self.learner.online.values(observations)
+        if self.agent.trials == "all":
+            self._try_known(judgement, observations)
+        self._batch.fresh[:] = False
+        for index in range(len(self._batch)):
+            self._act(index, judgement, values[index], observations[index])
+
+    def _try_known(self, judgement: Judgement, observations: np.ndarray) -> None:
+        batch = self._batch
+        mask = judgement.known & batch.fresh[:, None]
+        for index, action in np.argwhere(mask & (judgement.reward >= 0)):
+            if self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index]).joints is None:
+                self._refuse(judgement, index, action)
+        rows, actions = np.nonzero(mask)
+        self._tally(batch.poses[rows], judgement, rows, actions)
+        rewards = judgement.reward[rows, actions]
+        self._store(observations[rows], actions, rewards, judgement, rows, np.zeros(len(rows), dtype=bool))
+        if self.agent.step_back:
+            batch.tried[rows, actions] |= rewards < 0
+
+    def _refuse(self, judgement: Judgement, index: int, action: int) -> None:
+        judgement.reward[index, action] = self.reward.value(False, False)
+        judgement.known[index, action] = True
+        judgement.source[index, action] = RULE
+
+    def _act(self, index: int, judgement: Judgement, values: np.ndarray, observation: np.ndarray) -> None:
+        batch = self._batch
+        action = self._choose(judgement, index, values)
+        if action is None:
+            self._end(index)
+            return
+        motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
+        stored = self.agent.trials == "all" and bool(judgement.known[index, action])
+        if motion.joints is None:
+            self._refuse(judgement, index, action)
+        elif not judgement.known[index, action] and not self._ask(judgement, index, action):
+            batch.tried[index, action] = True
+            return
+        reward = float(judgement.reward[index, action])
+        right = reward >= 0
+        moves = motion.joints is not None and (right or not self.agent.step_back)
+        at_goal = moves and bool(judgement.at_goal[index, action])
+        cut = moves and not at_goal and batch.steps[index] + 1 >= batch.limits[index]
+        if not stored:
+            row = np.array([index])
+            self._tally(batch.poses[row], judgement, row, np.array([action]))
+            self._store(observation[None], np.array([action]), np.array([reward]), judgement, row, np.array([cut]))
+        batch.rewards[index] += reward
+        if motion.joints is None or not moves:
+            batch.tried[index, action] = True
+            return
+        batch.move(index, judgement.reached[index, action], motion.joints)
+        if at_goal or cut:
+            self._end(index)
+
+    def _choose(self, judgement: Judgement, index: int, values: np.ndarray) -> int | None:
+        untried = ~self._batch.tried[index]
+        explore = self._explore_rng.random() < self.agent.epsilon(self.env_steps)
+        candidates = untried
+        if self.agent.trials == "all":
+            known_right = untried & judgement.known[index] & (judgement.reward[index] >= 0)
+            if known_right.any():
+                candidates = known_right
+            else:
+                # Nothing is known to be right here: ask, the likeliest by the model's untrusted opinion first.
+                candidates, values, explore = untried & ~judgement.known[index], judgement.reward[index], False
+        if not candidates.any():
+            return None
+        if explore:
+            return int(self._explore_rng.choice(np.flatnonzero(candidates)))
+        return int(np.where(candidates, values, -np.inf).argmax())
+
+    def _ask(self, judgement: Judgement, index: int, action: int) -> bool:
+        """Ask the oracle; return whether it answered (a skip is not a no)."""
+        batch = self._batch
+        pose, reached = batch.poses[index].copy(), judgement.reached[index, action].copy()
+        step = int(batch.steps[index])
+        trust = self.reward.trust
+        reason = trust.outside(reached, step + 1) or trust.outside(pose, step)
+        question = Question(
+            int(batch.numbers[index]), step, pose, action, reached, judgement.predicted[index].copy(), reason
+        )
+        answer = self._oracle.answer(question)
+        self.questions += 1
+        if answer.right is None:
+            return False
+        judgement.reward[index, action] = self.reward.value(answer.right, bool(judgement.at_goal[index, action]))
+        return True
+
+    def _tally(self, poses: Array, judgement: Judgement, rows: np.ndarray, actions: np.ndarray) -> None:
+        sources = judgement.source[rows, actions]
+        counted = sources != RULE
+        if not counted.any():
+            return
+        agrees = demonstrator_agrees(self._task, poses[counted], judgement.reached[rows, actions][counted])
+        same = agrees == (judgement.reward[rows, actions][counted] >= 0)
+        for source in (TRUSTED, ASKED):
+            self.history.judged[source] += int((sources == source).sum())
+            self.history.agreed[source] += int(same[sources[counted] == source].sum())
+
+    def _store(
+        self,
+        observations: np.ndarray,
+        actions: np.ndarray,
+        rewards: np.ndarray,
+        judgement: Judgement,
+        rows: np.ndarray,
+        cut: np.ndarray,
+    ) -> None:
+        wrong = rewards < 0
+        self._replay.add(
+            Transitions(
+                observations,
+                actions,
+                rewards.astype(np.float32),
+                observe(judgement.reached[rows, actions], self._task),
+                terminated=judgement.at_goal[rows, actions] & ~wrong,
+                truncated=cut,
+                undone=wrong & self.agent.step_back,
+            )
+        )
+        self.env_steps += len(actions)
+
+    def _end(self, index: int) -> None:
+        batch = self._batch
+        self.history.rewards.append(float(batch.rewards[index]))
+        self.history.lengths.append(int(batch.steps[index]))
+        self.history.exploring.append(bool(batch.exploring[index]))
+        self._begin(index)
+
+    def _check(self) -> Check:
+        starts, joints, _ = self._check_starts
+        policy = Policy(self.learner.online, self._task)
+        episodes = roll_out(policy, self._task, self.workcell.reachability, starts, joints, self.step_limit)
+        outcomes = [episode.outcome for episode in episodes]
+        success = outcomes.count(SUCCESS) / len(outcomes)
+        check = Check(
+            self.learner.updates,
+            self.env_steps,
+            len(self.history.rewards),
+            success,
+            {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})},
+        )
+        self.history.checks.append(check)
+        self.history.losses.append(float(np.mean(self._losses)))
+        self._losses.clear()
+        self.passed = self.passed + 1 if success >= self.settings.check_success else 0
+        if success >= self.best_success:
+            self.best_success, self.best_update = success, self.learner.updates
+            self.best = self.learner.policy_arrays()
+        if not self.learned and self.passed >= self.settings.checks_to_learn:
+            self.learned_at = self.env_steps
+        return check
+
+    def state(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Return everything a run needs to go on: arrays and JSON values."""
+        parts = {
+            "learner": self.learner.state(),
+            "replay": self._replay.state(),
+            "episodes": self._batch.state(),
+            "best": self.best,
+            "losses": {"recent": np.array(self._losses, dtype=np.float64)},
+        }
+        arrays = {f"{part}/{name}": values for part, state in parts.items() for name, values in state.items()}
+        about = {
+            "counters": {name: getattr(self, name) for name in _COUNTERS},
+            "history": self.history.state(),
+            "explore_rng": self._explore_rng.bit_generator.state,
+            "batch_rng": self._batch_rng.bit_generator.state,
+        }
+        return arrays, about
+
+    def restore(self, arrays: dict[str, np.ndarray], about: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+
+        def part(name: str) -> dict[str, np.ndarray]:
+            prefix = f"{name}/"
+            return {key.removeprefix(prefix): values for key, values in arrays.items() if key.startswith(prefix)}
+
+        self.learner.restore(part("learner"))
+        self._replay.restore(part("replay"))
+        self._batch.restore(part("episodes"))
+        self.best = part("best")
+        self._losses = part("losses")["recent"].tolist()
+        for name in _COUNTERS:
+            setattr(self, name, about["counters"][name])
+        self.history = History.restored(about["history"])
+        self._explore_rng.bit_generator.state = about["explore_rng"]
+        self._batch_rng.bit_generator.state = about["batch_rng"]

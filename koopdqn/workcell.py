@@ -1,0 +1,37 @@
+"""The workcell: a task, the arm that does it, and the scene it stands in."""
+
+from dataclasses import dataclass
+
+from koopdqn.environment.reachability import Reachability
+from koopdqn.robot.arm import Arm
+from koopdqn.robot.scene import Scene, build_scene
+from koopdqn.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class Workcell:
+    """Everything that stands still while koopdqn works.
+
+    Attributes:
+        task: what is to be done.
+        arm: which arm does it.
+        scene: the compiled MuJoCo scene.
+        reachability: the arm moved kinematically in the scene.
+    """
+
+    task: Task
+    arm: Arm
+    scene: Scene
+    reachability: Reachability
+
+
+def open_workcell(task: Task, arm: Arm) -> Workcell:
+    """Return the workcell of a task and an arm.
+
+    Raises:
+        BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
+    """
+    scene = build_scene(task, arm)
+    reachability = Reachability(arm, scene, arm.step_seconds)
+    reachability.check(task)
+    return Workcell(task, arm, scene, reachability)
