@@ -50,7 +50,7 @@ def canonical(quaternion: ArrayLike) -> Array:
 
 def conjugate(quaternion: ArrayLike) -> Array:
     """Return the inverse of unit quaternions (..., 4)."""
-    return np.asarray(quaternion, dtype=float) * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.asarray(np.multiply(quaternion, [1.0, -1.0, -1.0, -1.0]), dtype=float)
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> Array:
@@ -74,7 +74,7 @@ def rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
     quaternion, vector = np.asarray(quaternion, dtype=float), np.asarray(vector, dtype=float)
     w, u = quaternion[..., :1], quaternion[..., 1:]
     twice = 2.0 * np.cross(u, vector)
-    return vector + w * twice + np.cross(u, twice)
+    return np.asarray(vector + w * twice + np.cross(u, twice), dtype=float)
 
 
 def to_rotation_vector(quaternion: ArrayLike) -> Array:

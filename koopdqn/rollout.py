@@ -70,7 +70,7 @@ def roll_out(
 
 
 def follow(paths: list[Array], task: Task, reachability: Reachability, joints: Array) -> list[Episode]:
-    """Return the episodes of following given paths (T, 7), each begun with its joints (6,), to their ends or failure."""
+    """Return the episodes of following given paths (T, 7), each begun with its joints (6,), to end or failure."""
     runs = []
     for path, angles in zip(paths, joints, strict=True):
         run = _Run([path[0]], [angles])

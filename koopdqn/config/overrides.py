@@ -42,6 +42,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       bracket), and a leading ``~/`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
       after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone.
+    - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
+      robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -58,6 +60,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
+    if command == "eval":
+        return _prepare_evaluation(prepared, folders[-1] if folders else str(newest_trained_run()))
     if command != "train" or not folders or folders[-1] == "null":
         return Prepared([*prepared, f"command={command}"])
     if multirun:
@@ -76,6 +80,27 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         "hydra.output_subdir=null",
     ]
     return Prepared(merged, continues=True)
+
+
+def newest_trained_run(below: Path = Path("runs")) -> Path:
+    """Return the folder of the newest finished training run below a folder.
+
+    Raises:
+        BadInputError: there is none.
+    """
+    finished = [path for path in below.rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
+    if not finished:
+        raise BadInputError(f"run: must name a trained run, found none given and none below {below}/; train one first")
+    return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
+
+
+def _prepare_evaluation(prepared: list[str], folder: str) -> Prepared:
+    recorded = _recorded(folder, "train")
+    given = {_name(override) for override in prepared}
+    # A run's own inputs lie in its folder, and its outcome does not depend on how many are evaluated.
+    own = [item for item in recorded if _name(item) not in given and _key(item) not in ("demos", "intent_file")]
+    rest = [item for item in prepared if _key(item) != "run"]
+    return Prepared([*own, *rest, f"run={_quoted(folder)}", "command=eval"])
 
 
 def _prepare_one(override: str) -> str:

@@ -30,7 +30,8 @@ class Demonstration:
         joints: joint angles (N, 6) [rad], or None where they are not known.
 
     Raises:
-        BadInputError: shapes disagree, a value is not finite, times do not increase, or a quaternion is not of unit length.
+        BadInputError: shapes disagree, a value is not finite, times do not increase, or a quaternion has not
+            unit length.
     """
 
     times: Array
@@ -43,7 +44,7 @@ class Demonstration:
         if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < 2:
             raise BadInputError(f"poses must have shape (N, 7) with N >= 2, found {poses.shape}")
         if np.shape(self.times) != (len(poses),):
-            raise BadInputError(f"times must have shape ({len(poses)},) as the poses have, found {np.shape(self.times)}")
+            raise BadInputError(f"times must have shape ({len(poses)},), found {np.shape(self.times)}")
         if not np.isfinite(poses).all() or not np.isfinite(self.times).all():
             raise BadInputError("poses and times must be finite, found NaN or infinity")
         if np.any(np.diff(self.times) <= 0):
@@ -71,7 +72,7 @@ def _continuous(quaternions: Array) -> Array:
     # q and −q are the same rotation; the sign that turns least from sample to sample is kept.
     flips = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
     signs = np.concatenate([[1.0], np.cumprod(np.where(flips < 0, -1.0, 1.0))])
-    return quaternions * signs[:, None]
+    return np.asarray(quaternions * signs[:, None], dtype=float)
 
 
 @dataclass(frozen=True)

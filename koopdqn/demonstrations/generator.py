@@ -97,7 +97,7 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
     offset = np.zeros((len(along), 3))
     for harmonic in range(1, _HARMONICS + 1):
         offset += rng.normal(size=3) / harmonic * np.sin(np.pi * harmonic * along)[:, None]
-    return offset * (task.variation_m / np.linalg.norm(offset, axis=1).max())
+    return np.asarray(offset * (task.variation_m / np.linalg.norm(offset, axis=1).max()), dtype=float)
 
 
 def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Array:

@@ -38,7 +38,9 @@ def _crossing(before: Array, after: Array, last: Array, step: float, turn: float
     """Return the pose (7,) between two at which position first is a step, or rotation a turn, away from ``last``."""
     share = 1.0
     if pose.position_distance(after, last) >= step:
-        share = _sphere_crossing(before[pose.POSITION] - last[pose.POSITION], after[pose.POSITION] - before[pose.POSITION], step)
+        share = _sphere_crossing(
+            before[pose.POSITION] - last[pose.POSITION], after[pose.POSITION] - before[pose.POSITION], step
+        )
     if pose.rotation_distance(after, last) >= turn:
         low, high = 0.0, 1.0
         for _ in range(40):

@@ -54,8 +54,8 @@ class Learner:
         self.target = QNetwork(inputs, settings.network, rng)
         self.target.load_state_dict(self.online.state_dict())
         self.updates = 0
-        self._parameters = list(self.online.parameters())
-        self._target_parameters = list(self.target.parameters())
+        self._parameters: list[Tensor] = list(self.online.parameters())
+        self._target_parameters: list[Tensor] = list(self.target.parameters())
         self._optimizer = torch.optim.Adam(self._parameters, lr=settings.learning_rate)
 
     def normalise_to(self, observations: np.ndarray) -> None:

@@ -1,5 +1,6 @@
 """The Q-network: ten values, one for each action, from an observation."""
 
+from itertools import pairwise
 from typing import cast
 
 import numpy as np
@@ -37,7 +38,7 @@ class QNetwork(nn.Module):
         self.register_buffer("phases", _drawn(rng.uniform(0, 2 * np.pi, features)))
         widths = [inputs + features, *settings.hidden]
         layers: list[nn.Module] = []
-        for before, after in zip(widths, widths[1:], strict=False):
+        for before, after in pairwise(widths):
             layers += [_linear(before, after, rng), nn.ReLU()]
         self.layers = nn.Sequential(*layers, _linear(widths[-1], COUNT, rng))
 

@@ -22,7 +22,9 @@ def observe(poses: Array, task: Task) -> NDArray[np.float32]:
     columns = [poses[:, pose.POSITION]]
     if task.orientation == "learned":
         columns.append(
-            pose.to_rotation_vector(pose.multiply(poses[:, pose.QUATERNION], pose.conjugate(task.goal[pose.QUATERNION])))
+            pose.to_rotation_vector(
+                pose.multiply(poses[:, pose.QUATERNION], pose.conjugate(task.goal[pose.QUATERNION]))
+            )
         )
     columns.append(pose.position_distance(poses, task.goal)[:, None])
     columns.append(pose.rotation_distance(poses, task.goal)[:, None])

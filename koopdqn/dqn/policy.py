@@ -8,10 +8,10 @@ import numpy as np
 
 from koopdqn.artifact import Artifact, described, read_artifact, write_artifact
 from koopdqn.config.settings import validate
+from koopdqn.dqn.learner import load_arrays
 from koopdqn.dqn.network import QNetwork
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.settings import NetworkSettings
-from koopdqn.dqn.learner import load_arrays
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
@@ -33,7 +33,7 @@ class Policy:
 
     def __call__(self, poses: Array) -> np.ndarray:
         """Return the actions (N,) of greatest value from poses (N, 7)."""
-        return self.values(poses).argmax(axis=1)
+        return np.asarray(self.values(poses).argmax(axis=1))
 
     def values(self, poses: Array) -> np.ndarray:
         """Return Q (N, 10) at poses (N, 7)."""
@@ -67,7 +67,7 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
     try:
         load_arrays(network, artifact.arrays)
     except RuntimeError as error:
-        raise BadInputError(f"policy {path} must hold the arrays of its own network settings, found: {error}") from error
+        raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {error}") from error
     return Policy(network, task), about
 
 

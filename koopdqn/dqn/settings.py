@@ -38,7 +38,10 @@ class AgentSettings(Settings):
     epsilon_start: Fraction
     epsilon_end: Fraction
     epsilon_steps: Count = Field(description="actions over which ε falls")
-    exploring_starts: Fraction = Field(description="share of episodes that begin somewhere along a demonstration")
+    exploring_starts: Fraction = Field(description="share of episodes that are short, for exploring")
+    exploring_in_region: Fraction = Field(
+        description="share of those that begin in the start region; the others begin along a demonstration"
+    )
     exploring_spread_m: Positive = Field(description="how far beside it they begin, a standard deviation [m]")
     exploring_steps: Count = Field(description="steps after which such an episode is cut")
 

@@ -8,7 +8,7 @@ from koopdqn.tasks.task import Task
 
 
 def excess(reached: Array, wished: Array, task: Task) -> Array:
-    """Return the larger of the two distances (...), each in units of its tolerance; metres and radians are never added."""
+    """Return the larger of the two distances (...), each in units of its tolerance: metres and radians stay apart."""
     position = pose.position_distance(reached, wished) / task.position_tolerance_m
     rotation = pose.rotation_distance(reached, wished) / task.rotation_tolerance_rad
     return np.maximum(position, rotation)

@@ -3,19 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from pydantic import Field
 
-from koopdqn.config.settings import Settings
 from koopdqn.environment.actions import COUNT
 from koopdqn.environment.reachability import Motion, Reachability
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
-
-
-class EpisodeSettings(Settings):
-    """What bounds an episode."""
-
-    limit_factor: float = Field(ge=3, description="step limit in lengths of the longest demonstration")
 
 
 @dataclass
@@ -31,7 +23,7 @@ class EpisodeBatch:
         rewards: (N,) reward gathered.
         tried: (N, 10) wrong actions already tried from the present pose.
         fresh: (N,) whether nothing was tried from the present pose yet.
-        exploring: (N,) whether it began along a demonstration instead of in the start region.
+        exploring: (N,) whether it is a short episode for exploring.
     """
 
     poses: Array
@@ -85,16 +77,18 @@ class EpisodeBatch:
 class StartSampler:
     """Draws where episodes begin: in the task's start region, or somewhere along a demonstration.
 
-    Beginning along the demonstrations (exploring starts) shows the agent the whole tube from the first
-    moment, and what to do a little beside the path, where its own mistakes will take it.
+    Some episodes are exploring ones, cut after a few steps. Beginning along the demonstrations shows the
+    agent the whole tube from the first moment, and what to do a little beside the path, where its own
+    mistakes will take it; beginning often in the start region shows it that region's corners.
 
     Attributes:
         task: gives the start region.
         reachability: refuses what the arm cannot take.
         trajectories: demonstrated poses (N, 7) at the agent's step.
         share: share of exploring starts.
+        region_share: share of the exploring starts that lie in the start region.
         spread: standard deviation of their offset [m].
-        exploring_steps: step limit of episodes that begin there.
+        exploring_steps: step limit of exploring episodes.
         step_limit: step limit of the others.
         refused: how many draws were drawn again.
     """
@@ -103,6 +97,7 @@ class StartSampler:
     reachability: Reachability
     trajectories: list[Array]
     share: float
+    region_share: float
     spread: float
     exploring_steps: int
     step_limit: int
@@ -111,7 +106,7 @@ class StartSampler:
     def begin(self, batch: EpisodeBatch, index: int, number: int, rng: np.random.Generator) -> None:
         """Begin episode ``number`` at ``index`` of a batch."""
         batch.exploring[index] = rng.random() < self.share
-        if batch.exploring[index]:
+        if batch.exploring[index] and rng.random() >= self.region_share:
             pose, motion = self._along_demonstration(rng)
         else:
             poses, joints, refused = self.reachability.draw_starts(self.task, rng, 1)

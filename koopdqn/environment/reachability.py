@@ -57,7 +57,9 @@ class Reachability:
         step = np.abs(result.joints - joints)
         if np.any(step > self._largest_step):
             worst = int((step / self._largest_step).argmax())
-            detail = f"{self.arm.joint_names[worst]} would move {step[worst]:.3f} rad, limit {self._largest_step[worst]:.3f}"
+            detail = (
+                f"{self.arm.joint_names[worst]} would move {step[worst]:.3f} rad, limit {self._largest_step[worst]:.3f}"
+            )
             return Motion(None, VELOCITY, detail)
         contact = self.scene.contact(result.joints)
         if contact:
@@ -96,12 +98,14 @@ class Reachability:
         return np.array([self.scene.flange_pose(row) for row in joints])
 
     def draw_starts(self, task: Task, rng: np.random.Generator, count: int) -> tuple[Array, Array, int]:
-        """Return starts (count, 7) of a task that the arm can take, their joints (count, 6), and how many were redrawn.
+        """Return starts (count, 7) of a task that the arm can take, their joints (count, 6), and the number redrawn.
 
         Raises:
             BadInputError: hardly any start of the region can be taken.
         """
-        poses, joints, refused, detail = [], [], 0, ""
+        poses: list[Array] = []
+        joints: list[Array] = []
+        refused, detail = 0, ""
         while len(poses) < count:
             start = task.draw_starts(rng, 1)[0]
             motion = self.enter(start)

@@ -34,6 +34,11 @@ class RewardSettings(Settings):
     prediction: Literal["raw", "rescaled"] = Field(
         description="compare with the raw prediction (the paper) or with one as long as the agent's step"
     )
+    doubt: float = Field(
+        ge=0,
+        lt=1,
+        description="share of the tolerance by which a comparison must be clear to be trusted; 0 trusts all",
+    )
     size: float = Field(gt=0, description="largest absolute reward of a step")
     goal: float = Field(ge=0, description="added when a right action reaches the goal")
 
@@ -93,11 +98,8 @@ class IntentReward:
         reached = reached_poses(poses, self.task)
         predicted = self.predicted(poses)
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
-        if self.settings.shape == "sign":
-            reward = np.where(margin >= 0, 1.0, -1.0)
-        else:
-            reward = np.clip(margin, -1.0, 1.0)
-        trusted = self._trusted(poses, reached, steps)
+        reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
+        trusted = self._trusted(poses, reached, steps) & self._certain(margin)
         unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
             pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
         )
@@ -108,9 +110,15 @@ class IntentReward:
         source = np.where(wrong, RULE, np.where(trusted, TRUSTED, ASKED))
         return Judgement(reached, predicted, reward, source != ASKED, source, at_goal)
 
+    def _certain(self, margin: Array) -> np.ndarray:
+        # A comparison that a small error of the model would turn over is no knowledge; but some action is
+        # always right (design, row 9), so the best one needs no certainty.
+        best = margin == margin.max(axis=1, keepdims=True)
+        return np.asarray(best | (np.abs(margin) >= self.settings.doubt))
+
     def _trusted(self, poses: Array, reached: Array, steps: np.ndarray) -> np.ndarray:
         count = len(poses)
         after = self.trust.inside(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT)).reshape(count, COUNT)
         if self.trust.settings.needs == "reached":
             return after
-        return after & self.trust.inside(poses, steps)[:, None]
+        return np.asarray(after & self.trust.inside(poses, steps)[:, None])

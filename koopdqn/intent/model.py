@@ -72,7 +72,7 @@ class IntentModel:
         return pose.make(position + distance * direction, poses[:, pose.QUATERNION])
 
     def roll_out(self, starts: Array, steps: int, step: float | None = None) -> Array:
-        """Return the poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), rescaled if ``step`` is given."""
+        """Return poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), rescaled if ``step`` is given."""
         poses = [starts]
         for _ in range(steps):
             poses.append(self.predict(poses[-1]) if step is None else self.preferred(poses[-1], step))

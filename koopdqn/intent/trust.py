@@ -83,7 +83,7 @@ class TrustDomain:
         known = self.error <= self.settings.error_limit_m
         if self.settings.matching == "step":
             index = np.minimum(steps, len(self.mean) - 1)
-            return np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1) & known[index]
+            return np.asarray(np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1) & known[index])
         inside = np.ones((len(rows), int(known.sum())), dtype=bool)
         # One component at a time keeps the (N, T) temporaries small.
         for i in range(rows.shape[1]):

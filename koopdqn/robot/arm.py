@@ -65,6 +65,10 @@ class Arm(Protocol):
         """Largest joint torques (6,) [Nm]."""
 
     @property
+    def step_seconds(self) -> float:
+        """How long one step of the agent takes [s]; gives every speed."""
+
+    @property
     def home(self) -> Sequence[float]:
         """Joint angles (6,) [rad] of the resting pose."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import model_validator
 
-from koopdqn.config.settings import Name, Names, Settings, Vector6
+from koopdqn.config.settings import Name, Names, Positive, Settings, Vector6
 from koopdqn.pose import Array
 from koopdqn.robot.arm import InverseResult
 from koopdqn.robot.scalars import TURN, Seven, Six, joint_scalars, pose_scalars, residuals, unwrapped
@@ -62,6 +62,7 @@ class URArm(Settings):
     velocity_limits: Vector6
     torque_limits: Vector6
     home: Vector6
+    step_seconds: Positive
 
     @model_validator(mode="after")
     def _check(self) -> "URArm":

@@ -22,7 +22,7 @@ class SmoothPath:
 
     @classmethod
     def through(cls, waypoints: ArrayLike, spacing: float = 5e-4) -> "SmoothPath":
-        """Return the cubic spline through waypoints (W, 3) [m], centripetally parametrised, sampled every ``spacing`` [m].
+        """Return the centripetal cubic spline through waypoints (W, 3) [m], sampled every ``spacing`` [m].
 
         The centripetal parameter (the root of the chord length) keeps the spline free of loops and cusps.
         """
@@ -57,7 +57,7 @@ class SmoothPath:
     def at(self, arc: ArrayLike) -> Array:
         """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""
         index = np.rint(np.asarray(arc) / self.spacing).astype(int)
-        return self.points[np.clip(index, 0, len(self.points) - 1)]
+        return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
 
     def displaced(self, offsets: Array) -> "SmoothPath":
         """Return the path with every point moved by its offset (M, 3) [m]; arc lengths keep this path's scale."""
@@ -70,6 +70,6 @@ def arc_lengths(points: ArrayLike) -> Array:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def at_arc_lengths(values: Array, arc: Array, wanted: ArrayLike) -> Array:
+def at_arc_lengths(values: Array, arc: Array, wanted: Array) -> Array:
     """Return rows of values (N, D), known at arc lengths (N,), interpolated at the wanted arc lengths (W,)."""
     return np.stack([np.interp(wanted, arc, values[:, i]) for i in range(values.shape[1])], axis=1)

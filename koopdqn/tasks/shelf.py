@@ -31,7 +31,7 @@ class ShelfTask(Task):
     grip_m: float = Field(gt=0, description="from the flange to the bottle's axis along the flange's z axis [m]")
     bottle_radius_m: float = Field(gt=0)
     bottle_height_m: float = Field(gt=0)
-    compartment_corner_m: Vector3 = Field(description="inner front lower right corner (least x, y, z) of the compartment [m]")
+    compartment_corner_m: Vector3 = Field(description="least x, y, z inside the compartment [m]")
     compartment_size_m: Vector3 = Field(description="inner depth, width and height of the compartment [m]")
     lip_m: float = Field(ge=0, description="height of the front lip above the compartment's floor [m]")
 
@@ -72,7 +72,13 @@ class ShelfTask(Task):
             "bottle_body", (bottom - body, 0.0, reach), (bottom, 0.0, reach), radius, GLASS, mass=0.4, payload=True
         )
         scene.tool_cylinder(
-            "bottle_neck", (-bottom, 0.0, reach), (bottom - body, 0.0, reach), 0.4 * radius, GLASS, mass=0.1, payload=True
+            "bottle_neck",
+            (-bottom, 0.0, reach),
+            (bottom - body, 0.0, reach),
+            0.4 * radius,
+            GLASS,
+            mass=0.1,
+            payload=True,
         )
 
     def _stand_shelf(self, scene: "SceneBuilder") -> None:

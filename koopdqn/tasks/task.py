@@ -114,7 +114,9 @@ class Task(Settings, ABC):
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7) drawn evenly from the start region."""
         half = np.array(self.start_half_range_m)
-        return pose.make(self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3)), self.start_quaternion)
+        return pose.make(
+            self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3)), self.start_quaternion
+        )
 
     def reached(self, poses: Array) -> np.ndarray:
         """Return whether each pose (N, 7) counts as the goal, as booleans (N,)."""

@@ -58,3 +58,7 @@ class History:
             for i, name in enumerate(SOURCES)
             if name != "rule"
         }
+
+    def counts(self) -> dict[str, int]:
+        """Return how many rewards came from each source whose rewards can be compared with the demonstrator."""
+        return {name: int(self.judged[i]) for i, name in enumerate(SOURCES) if name != "rule"}

@@ -83,6 +83,7 @@ class Trainer:
             workcell.reachability,
             trajectories,
             agent.exploring_starts,
+            agent.exploring_in_region,
             agent.exploring_spread_m,
             agent.exploring_steps,
             self.step_limit,

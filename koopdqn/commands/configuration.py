@@ -1,0 +1,97 @@
+"""The composed config as typed settings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from koopdqn.artifact import described
+from koopdqn.config.settings import NonNegativeInt, PathText, Settings, load_settings, plain, validate
+from koopdqn.demonstrations.generator import DemonstrationSettings
+from koopdqn.dqn.settings import AgentSettings
+from koopdqn.environment.reward import RewardSettings
+from koopdqn.errors import unknown_name
+from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.feedback.oracle import OracleSettings
+from koopdqn.intent.model import IntentSettings
+from koopdqn.intent.trust import TrustSettings
+from koopdqn.robot.arm import Arm
+from koopdqn.tasks.task import Task
+from koopdqn.training.settings import TrainSettings
+
+# What may change between two parts of one run without changing what either does.
+_WHEN_TO_STOP = ("stop", "extend", "max_steps", "max_episodes")
+
+
+class Inputs(Settings):
+    """The root's own keys."""
+
+    command: str
+    seed: NonNegativeInt
+    out: PathText
+    run: PathText | None
+    demos: PathText | None
+    intent_file: PathText | None
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Everything a command may need, validated."""
+
+    inputs: Inputs
+    task: Task
+    intent: IntentSettings
+    trust: TrustSettings
+    oracle: OracleSettings
+    agent: AgentSettings
+    robot: Arm
+    demo: DemonstrationSettings
+    reward: RewardSettings
+    train: TrainSettings
+    eval: EvaluationSettings
+
+    @classmethod
+    def load(cls, config: Mapping[Any, Any]) -> "Configuration":
+        """Return the typed form of a composed config.
+
+        Raises:
+            BadInputError: a key is unknown, or a value is of the wrong type or breaks a rule.
+        """
+        content = plain(config)
+        polymorphic: dict[str, type] = {
+            "task": Task,
+            "intent": IntentSettings,
+            "trust": TrustSettings,
+            "oracle": OracleSettings,
+            "agent": AgentSettings,
+            "robot": Arm,
+        }
+        fixed: dict[str, type[Settings]] = {
+            "demo": DemonstrationSettings,
+            "reward": RewardSettings,
+            "train": TrainSettings,
+            "eval": EvaluationSettings,
+        }
+        own = set(Inputs.model_fields)
+        for key in content:
+            if key not in own | set(polymorphic) | set(fixed):
+                raise unknown_name("key", key, own | set(polymorphic) | set(fixed))
+        parts: dict[str, Any] = {"inputs": validate({key: content.get(key) for key in own}, Inputs)}
+        parts |= {key: load_settings(content.get(key), base, key) for key, base in polymorphic.items()}
+        parts |= {key: validate(content.get(key), model, key) for key, model in fixed.items()}
+        return cls(**parts)
+
+    def shaped_by(self) -> dict[str, Any]:
+        """Return what decides a training run's bytes: no path, no date, no answer source, no stopping rule."""
+        train = {key: value for key, value in described(self.train).items() if key not in _WHEN_TO_STOP}
+        parts = ("task", "intent", "trust", "agent", "robot", "reward")
+        return {
+            "seed": self.inputs.seed,
+            "train": train,
+            **{name: described(getattr(self, name)) for name in parts},
+        }
+
+
+def path_or_none(path: Path | None) -> str | None:
+    """Return a path as text for a result file."""
+    return None if path is None else str(path)

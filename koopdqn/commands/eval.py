@@ -1,0 +1,66 @@
+"""``koopdqn eval``: measure a trained run on held-out starts."""
+
+from pathlib import Path
+
+from koopdqn import console
+from koopdqn.commands import stages
+from koopdqn.commands.configuration import Configuration
+from koopdqn.commands.train import POLICY, REPORT
+from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.errors import BadInputError
+from koopdqn.files import read_json, write_json
+from koopdqn.intent.fitting import agent_steps
+from koopdqn.intent.storage import read_intent
+from koopdqn.pose import POSITION
+from koopdqn.result import CommandResult
+from koopdqn.rollout import SUCCESS
+
+
+def run(config: Configuration, folder: Path) -> CommandResult:
+    """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
+    from koopdqn.dqn.policy import read_policy
+    from koopdqn.evaluation.evaluate import evaluate, table
+    from koopdqn.plots.evaluation import plot_evaluation
+
+    source = config.inputs.run
+    if source is None:
+        raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
+    policy, about = read_policy(source / POLICY, config.task)
+    demonstrations = read_hdf5(source / stages.DEMONSTRATIONS)
+    intent = read_intent(source / stages.INTENT, config.task)
+    made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
+    for name, sha in made_from.items():
+        if about["made_from"][name] != sha:
+            raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
+    step_limit = int(read_json(source / REPORT, "the training report")["step_limit"])
+    workcell = stages.open_scene(config)
+    with console.stage("Evaluating") as stage:
+        evaluation = evaluate(
+            workcell,
+            policy,
+            intent.model,
+            intent.trust,
+            agent_steps(demonstrations, config.task),
+            config.eval,
+            step_limit,
+            lambda done: stage.advance(done),
+        )
+    report = {**evaluation.report, "run": str(source)}
+    write_json(folder / "eval.json", report)
+    shown = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
+    paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
+    image = stages.picture(workcell.scene, shown.joints[-1], paths, config)
+    plot_evaluation(
+        folder / "eval.png", report, evaluation.episodes, evaluation.references, demonstrations, config.task, image
+    )
+    lines = [
+        f"measured run    {source}",
+        table(report),
+        f"report          {folder / 'eval.json'}",
+        f"learned path    {folder / 'eval.png'}",
+    ]
+    if (source / "train.png").exists():
+        lines.append(f"training curve  {source / 'train.png'}")
+    if (source / "fit.png").exists():
+        lines.append(f"fit errors      {source / 'fit.png'}")
+    return CommandResult(report, lines, objective=report["success_rate"])

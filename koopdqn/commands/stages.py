@@ -1,0 +1,99 @@
+"""The stages that several commands go through, each making what is missing and keeping it in the run folder."""
+
+from pathlib import Path
+from typing import Any
+
+from koopdqn import console
+from koopdqn.commands.configuration import Configuration
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.generator import generate
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.files import write_json
+from koopdqn.intent.fitting import Fitted, fit
+from koopdqn.intent.storage import StoredIntent, read_intent
+from koopdqn.pose import Array
+from koopdqn.robot.scene import Scene
+from koopdqn.workcell import Workcell, open_workcell
+
+DEMONSTRATIONS = "demos.hdf5"
+INTENT = "intent.npz"
+
+
+def open_scene(config: Configuration) -> Workcell:
+    """Return the workcell of a config."""
+    return open_workcell(config.task, config.robot)
+
+
+def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) -> Demonstrations:
+    """Return the demonstrations of ``demos=``, or those of the run folder, or new ones; the folder keeps them.
+
+    Raises:
+        BadInputError: the file is damaged or of another task.
+    """
+    kept = folder / DEMONSTRATIONS
+    source = config.inputs.demos
+    if source is None and kept.exists():
+        source = kept
+    if source is not None:
+        demonstrations = read_hdf5(source)
+        if demonstrations.task != config.task.name:
+            raise BadInputError(f"demos {source}: must be of task {config.task.name}, found task {demonstrations.task}")
+    else:
+        demonstrations, _ = new_demonstrations(config, workcell)
+    if not kept.exists():
+        write_hdf5(kept, demonstrations)
+    return demonstrations
+
+
+def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demonstrations, dict[str, int]]:
+    """Return generated demonstrations and how many draws per reason were drawn again."""
+    with console.stage("Demonstrating", config.demo.count) as stage:
+        generated = generate(
+            config.task, workcell.reachability, config.demo, config.inputs.seed, lambda done: stage.advance()
+        )
+    return generated.demonstrations, generated.redrawn
+
+
+def fitted_intent(config: Configuration, demonstrations: Demonstrations, folder: Path) -> tuple[StoredIntent, Fitted]:
+    """Fit the intent model, write ``intent.npz``, ``fit.json`` and ``fit.png`` and return both forms of it."""
+    from koopdqn.plots.fit import plot_fit
+
+    with console.stage("Fitting the intent", len(demonstrations)) as stage:
+        fitted = fit(demonstrations, config.task, config.intent, config.trust, lambda done: stage.advance())
+    stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
+    stored.write(folder / INTENT, config.task)
+    write_json(folder / "fit.json", fitted.report)
+    plot_fit(folder / "fit.png", fitted, demonstrations, config.task)
+    return stored, fitted
+
+
+def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Path) -> StoredIntent:
+    """Return the intent of ``intent=FILE``, or that of the run folder, or a newly fitted one; the folder keeps it.
+
+    Raises:
+        BadInputError: the file is damaged, or was fitted to another task or other demonstrations.
+    """
+    kept = folder / INTENT
+    source = config.inputs.intent_file
+    if source is None and kept.exists():
+        source = kept
+    if source is None:
+        return fitted_intent(config, demonstrations, folder)[0]
+    stored = read_intent(source, config.task)
+    if stored.demonstrations != demonstrations.digest():
+        raise BadInputError(f"intent {source}: must be fitted to the demonstrations used, found it fitted to others")
+    if not kept.exists():
+        stored.write(kept, config.task)
+    return stored
+
+
+def picture(scene: Scene, joints: Array, lines: list[Array], config: Configuration) -> Any:
+    """Return a rendered picture of the arm at joints (6,) with paths (T, 3) drawn, or None where nothing can render."""
+    from koopdqn.robot.camera import render, view_of
+
+    try:
+        return render(scene, joints, view_of(config.task), lines=lines)
+    except WorkFailedError as error:
+        console.warn(f"no picture of the arm: {error}")
+        return None

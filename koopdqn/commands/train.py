@@ -1,0 +1,136 @@
+"""``koopdqn train``: learn the path."""
+
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from koopdqn import console
+from koopdqn.commands import stages
+from koopdqn.commands.configuration import Configuration
+from koopdqn.dqn.policy import write_policy
+from koopdqn.environment.reward import IntentReward
+from koopdqn.feedback.journal import JournalledOracle
+from koopdqn.files import write_json
+from koopdqn.intent.fitting import agent_steps
+from koopdqn.result import CommandResult
+from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
+from koopdqn.training.events import EventLog
+from koopdqn.training.history import Check
+from koopdqn.training.trainer import Trainer
+
+POLICY = "policy.safetensors"
+REPORT = "train.json"
+JOURNAL = "feedback.jsonl"
+
+
+def run(config: Configuration, folder: Path) -> CommandResult:
+    """Learn from given or new demonstrations, or go on with the run that the folder holds."""
+    from koopdqn.plots.train import plot_training
+
+    began = monotonic()
+    workcell = stages.open_scene(config)
+    demonstrations = stages.demonstrations_for(config, workcell, folder)
+    intent = stages.intent_for(config, demonstrations, folder)
+    made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
+    shaped_by = {**config.shaped_by(), "made_from": made_from}
+    checkpoint = read_checkpoint(folder, shaped_by)
+    answered = 0 if checkpoint is None else int(checkpoint.about["state"]["counters"]["questions"])
+    before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
+    oracle = JournalledOracle(config.oracle.open(config.task, config.inputs.seed), folder / JOURNAL, answered)
+    trainer = Trainer(
+        workcell,
+        IntentReward(config.task, intent.model, intent.trust, config.reward),
+        agent_steps(demonstrations, config.task),
+        oracle,
+        config.agent,
+        config.train,
+        config.inputs.seed,
+    )
+    if checkpoint is not None:
+        trainer.restore(checkpoint.arrays, checkpoint.about["state"])
+        console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
+    try:
+        _learn(trainer, folder, shaped_by, began - before)
+    finally:
+        oracle.close()
+    seconds = before + monotonic() - began
+    write_policy(folder / POLICY, trainer.best, config.agent.network, shaped_by)
+    report = train_report(config, trainer, seconds, made_from)
+    write_json(folder / REPORT, report)
+    plot_training(folder / "train.png", trainer.history, report)
+    return CommandResult(
+        report, _lines(report, folder), objective=report["best_success_rate"], exit_status=0 if trainer.learned else 1
+    )
+
+
+def _learn(trainer: Trainer, folder: Path, shaped_by: dict[str, Any], began: float) -> None:
+    shown = 0
+    with console.stage("Learning") as stage, EventLog(folder, trainer) as events:
+
+        def on_check(check: Check) -> None:
+            save_checkpoint(folder, trainer, shaped_by, monotonic() - began)
+            events.check(check)
+            stage.advance(0, _progress(trainer, check))
+
+        def on_round() -> None:
+            nonlocal shown
+            if trainer.rounds % 10 == 0:
+                last = trainer.history.checks[-1] if trainer.history.checks else None
+                stage.advance(trainer.rounds - shown, _progress(trainer, last))
+                shown = trainer.rounds
+
+        trainer.run(on_check, on_round)
+
+
+def _progress(trainer: Trainer, check: Check | None) -> str:
+    success = "no check yet" if check is None else f"success {check.success_rate:.0%} of held-out starts"
+    return f"{trainer.learner.updates} updates, {trainer.env_steps} actions, {trainer.questions} questions, {success}"
+
+
+def train_report(config: Configuration, trainer: Trainer, seconds: float, made_from: dict[str, str]) -> dict[str, Any]:
+    """Return the content of ``train.json``."""
+    history = trainer.history
+    asked_or_trusted = int(history.judged[1:].sum())
+    return {
+        "task": config.task.name,
+        "seed": config.inputs.seed,
+        "agent": config.agent.name,
+        "intent": config.intent.name,
+        "learned": trainer.learned,
+        "learned_at_env_steps": trainer.learned_at if trainer.learned else None,
+        "seconds": seconds,
+        "episodes": len(history.rewards),
+        "env_steps": trainer.env_steps,
+        "updates": trainer.learner.updates,
+        "oracle_queries": trainer.questions,
+        "trusted_fraction": float(history.judged[1] / asked_or_trusted) if asked_or_trusted else None,
+        "reward_agreement": {**history.agreement(), "remembered": None},
+        "rewards_given": history.counts(),
+        "reward_per_episode": history.rewards,
+        "steps_per_episode": history.lengths,
+        "exploring_episode": history.exploring,
+        "best_success_rate": max(trainer.best_success, 0.0),
+        "best_update": trainer.best_update,
+        "step_limit": trainer.step_limit,
+        "checks": [vars(check) for check in history.checks],
+        "threads": config.train.threads,
+        "made_from": made_from,
+    }
+
+
+def _lines(report: dict[str, Any], folder: Path) -> list[str]:
+    agreement = report["reward_agreement"]
+    shown = ", ".join(
+        f"{name} {'none given' if share is None else format(share, '.1%')}"
+        for name, share in agreement.items()
+        if name != "remembered"
+    )
+    verdict = "learned" if report["learned"] else "NOT learned within the limits"
+    return [
+        f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
+        f" {report['oracle_queries']} questions asked",
+        f"rewards that the demonstrator agrees with: {shown}",
+        f"policy          {folder / POLICY}",
+        f"report          {folder / REPORT}",
+        f"training curve  {folder / 'train.png'}",
+    ]

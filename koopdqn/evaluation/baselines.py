@@ -1,0 +1,85 @@
+"""What comes without learning: the straight line, greedy on the intent model, and replaying a demonstration."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.environment.actions import legal_actions, reached_poses
+from koopdqn.environment.compare import excess
+from koopdqn.intent.fitting import TURNS_PER_STEP
+from koopdqn.intent.model import IntentModel
+from koopdqn.pose import Array
+from koopdqn.rollout import Episode, follow, roll_out
+from koopdqn.tasks.task import Task
+from koopdqn.workcell import Workcell
+
+
+def straight_path(start: Array, end: Array, task: Task) -> Array:
+    """Return the poses (T, 7) from a start (7,) straight to an end (7,), turning evenly along the geodesic.
+
+    Its equal steps are as few as keep each within the task's step, and each turn within what a
+    demonstration's samples may turn (:func:`koopdqn.intent.fitting.agent_steps`).
+    """
+    distance, angle = float(pose.position_distance(start, end)), float(pose.rotation_distance(start, end))
+    largest_turn = TURNS_PER_STEP * task.rotation_tolerance_rad
+    # 1e-9: a distance of exactly n steps must not become n + 1 by rounding.
+    count = max(1, math.ceil(distance / task.step_m - 1e-9), math.ceil(angle / largest_turn - 1e-9))
+    share = np.linspace(0.0, 1.0, count + 1)
+    position = start[pose.POSITION] + share[:, None] * (end[pose.POSITION] - start[pose.POSITION])
+    turned = pose.turned_toward(np.tile(start[pose.QUATERNION], (count + 1, 1)), end[pose.QUATERNION], share * angle)
+    return pose.make(position, turned)
+
+
+def straight_line(workcell: Workcell, starts: Array, joints: Array) -> list[Episode]:
+    """Return the episodes of going straight to the goal from starts (N, 7) with joints (N, 6)."""
+    paths = [straight_path(start, workcell.task.goal, workcell.task) for start in starts]
+    return follow(paths, workcell.task, workcell.reachability, joints)
+
+
+@dataclass(frozen=True)
+class Greedy:
+    """The controller that always takes the legal action nearest to the intent model's prediction.
+
+    Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
+    The prediction is rescaled to the agent's step. It has learned nothing and asks nobody.
+
+    Attributes:
+        model: the intent model.
+        task: gives actions and tolerances.
+    """
+
+    model: IntentModel
+    task: Task
+
+    def __call__(self, poses: Array) -> np.ndarray:
+        """Return the actions (N,) from poses (N, 7)."""
+        wished = self.model.preferred(poses, self.task.step_m)
+        far = excess(reached_poses(poses, self.task), wished[:, None], self.task)
+        return np.asarray(np.where(legal_actions(self.task), far, np.inf).argmin(axis=1))
+
+
+def greedy(workcell: Workcell, model: IntentModel, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
+    """Return the episodes of :class:`Greedy` from starts (N, 7) with joints (N, 6)."""
+    return roll_out(Greedy(model, workcell.task), workcell.task, workcell.reachability, starts, joints, step_limit)
+
+
+def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
+    """Return the poses (T, 7) of replaying, from a start (7,), the demonstration that begins nearest in position.
+
+    The way leads straight to its first pose, then through its poses as recorded, neither shifted nor scaled.
+
+    Args:
+        start: where the arm is.
+        trajectories: demonstrated poses (N, 7) at the agent's step, at least one.
+        task: gives the step.
+    """
+    nearest = min(trajectories, key=lambda trajectory: float(pose.position_distance(trajectory[0], start)))
+    return np.concatenate([straight_path(start, nearest[0], task), nearest[1:]])
+
+
+def nearest_demonstration(workcell: Workcell, trajectories: list[Array], starts: Array, joints: Array) -> list[Episode]:
+    """Return the episodes of replaying the nearest demonstration from starts (N, 7) with joints (N, 6)."""
+    paths = [replay_path(start, trajectories, workcell.task) for start in starts]
+    return follow(paths, workcell.task, workcell.reachability, joints)

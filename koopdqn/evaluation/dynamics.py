@@ -1,0 +1,174 @@
+"""Executing a joint path in MuJoCo dynamics, through the arm's position actuators."""
+
+import copy
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.metrics import summary
+from koopdqn.evaluation.schema import Contacts, DynamicsReport
+from koopdqn.pose import Array
+from koopdqn.robot.scene import Scene
+from koopdqn.workcell import Workcell
+
+REST_SECONDS = 0.5
+"""How long the arm is held at the end of a path before its sag is measured: 25 times the UR5's lag."""
+
+_MILLIMETRES = 1e3
+
+
+@dataclass(frozen=True)
+class Execution:
+    """What became of a joint path in dynamics.
+
+    Attributes:
+        tracking_error_mm: (S,) distance [mm] of the flange from the commanded position at the same moment, after
+            every physics step of the motion.
+        speed_ratio: largest joint speed over that joint's limit.
+        torque_ratio: largest joint torque over that joint's limit: what the actuator gives and what
+            compensates gravity, as the motor of the real joint supplies both.
+        contact_steps: physics steps with a contact.
+        first_contact: the first pair that touched, as "a with b", or an empty string.
+        sag_mm: distance [mm] of the flange from the path's end after :data:`REST_SECONDS` at rest.
+        joints: (S, 6) joint angles [rad] after every physics step of the motion.
+        physics_seconds: time between two rows of ``joints`` [s].
+    """
+
+    tracking_error_mm: Array
+    speed_ratio: float
+    torque_ratio: float
+    contact_steps: int
+    first_contact: str
+    sag_mm: float
+    joints: Array
+    physics_seconds: float
+
+
+def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
+    """Execute a path of joint angles (T, 6) [rad], one row every ``time_scale`` × ``robot.step_seconds``.
+
+    A cubic spline through the rows, at rest at both ends, is sampled at every physics step, whatever the
+    ratio of the two time steps is; the last physics step may reach past the path's end, where the end is
+    commanded. A position actuator with stiffness kp and damping kd follows kd/kp behind, so its set
+    point leads by that: q + (kd/kp)·q̇.
+
+    Args:
+        workcell: arm and scene; the scene's own state is left alone.
+        joints: at least two rows.
+        time_scale: how many times slower than planned.
+
+    Raises:
+        BadInputError: the path has fewer than two rows, the time scale is below 1, or an actuator is no
+            position actuator.
+    """
+    if joints.ndim != 2 or joints.shape[1] != 6 or len(joints) < 2:
+        raise BadInputError(f"a joint path must have shape (T, 6) with T >= 2, found {joints.shape}")
+    if time_scale < 1:
+        raise BadInputError(f"time_scale must be at least 1, found {time_scale:g}")
+    arm = workcell.arm
+    scene = copy.copy(workcell.scene)
+    scene.data = mujoco.MjData(scene.model)
+    commanded, speed = _set_points(joints, time_scale * arm.step_seconds, scene.model.opt.timestep)
+    led = commanded + _lag(scene) * speed
+    recorder = _Recorder(scene, len(commanded) - 1)
+    scene.data.qpos[scene.joint_index] = joints[0]
+    for index in range(len(commanded) - 1):
+        scene.data.ctrl[scene.actuator_index] = led[index]
+        recorder.step(index)
+    _rest(scene, joints[-1])
+    at_rest = arm.forward(scene.data.qpos[scene.joint_index])
+    error = pose.position_distance(arm.forward(recorder.joints), arm.forward(commanded[1:]))
+    return Execution(
+        tracking_error_mm=error * _MILLIMETRES,
+        speed_ratio=float((np.abs(recorder.speed) / np.array(arm.velocity_limits)).max()),
+        torque_ratio=float((np.abs(recorder.torque) / np.array(arm.torque_limits)).max()),
+        contact_steps=recorder.contact_steps,
+        first_contact=recorder.first_contact,
+        sag_mm=float(pose.position_distance(at_rest, arm.forward(joints[-1]))) * _MILLIMETRES,
+        joints=recorder.joints,
+        physics_seconds=float(scene.model.opt.timestep),
+    )
+
+
+def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:
+    """Return the executions' report.
+
+    Args:
+        executions: of paths, all with one time scale; may be none.
+        time_scale: how many times ``step_seconds`` one step took.
+        step_seconds: how long one step takes as planned [s].
+    """
+    touched = [execution for execution in executions if execution.contact_steps]
+    errors = [execution.tracking_error_mm for execution in executions]
+    tracking = summary(np.array([error.mean() for error in errors])).model_copy(
+        update={"max": max((float(error.max()) for error in errors), default=None)}
+    )
+    return DynamicsReport(
+        episodes=len(executions),
+        time_scale=time_scale,
+        step_seconds=time_scale * step_seconds,
+        tracking_error_mm=tracking,
+        peak_joint_speed_ratio=max((execution.speed_ratio for execution in executions), default=None),
+        peak_joint_torque_ratio=max((execution.torque_ratio for execution in executions), default=None),
+        contacts=Contacts(
+            episodes=len(touched),
+            steps=sum(execution.contact_steps for execution in touched),
+            first=touched[0].first_contact if touched else None,
+        ),
+        sag_mm=summary(np.array([execution.sag_mm for execution in executions])),
+    )
+
+
+class _Recorder:
+    """Steps the physics and writes down what happens."""
+
+    def __init__(self, scene: Scene, steps: int) -> None:
+        self._scene = scene
+        self.joints, self.speed, self.torque = (np.empty((steps, 6)) for _ in range(3))
+        self.contact_steps = 0
+        self.first_contact = ""
+
+    def step(self, index: int) -> None:
+        scene, data = self._scene, self._scene.data
+        mujoco.mj_step(scene.model, data)
+        self.joints[index] = data.qpos[scene.joint_index]
+        self.speed[index] = data.qvel[scene.velocity_index]
+        self.torque[index] = (data.qfrc_actuator + data.qfrc_gravcomp)[scene.velocity_index]
+        if data.ncon:
+            contact = scene.current_contact()
+            self.contact_steps += bool(contact)
+            self.first_contact = self.first_contact or contact
+
+
+def _set_points(joints: Array, step_seconds: float, physics_seconds: float) -> tuple[Array, Array]:
+    """Return joint angles (S + 1, 6) [rad] and speeds [rad/s] at every physics step, up to or just past the end."""
+    from scipy.interpolate import CubicSpline
+
+    knots = step_seconds * np.arange(len(joints))
+    spline = CubicSpline(knots, joints, bc_type="clamped")
+    # 1e-9: an end that falls on a physics step must not gain another one by rounding.
+    count = math.ceil(knots[-1] / physics_seconds - 1e-9)
+    times = np.minimum(physics_seconds * np.arange(count + 1), knots[-1])
+    return spline(times), spline(times, 1)
+
+
+def _lag(scene: Scene) -> Array:
+    """Return kd/kp (6,) [s] of the arm's position actuators, whose force is kp·(ctrl − q) − kd·q̇."""
+    bias = scene.model.actuator_biasprm[scene.actuator_index]
+    if np.any(bias[:, 1] >= 0):
+        worst = int((bias[:, 1] >= 0).argmax())
+        raise BadInputError(
+            f"the actuator of {scene.arm.joint_names[worst]} must be a position actuator (biasprm[1] = -kp < 0),"
+            f" found biasprm[1] = {bias[worst, 1]:g}"
+        )
+    return np.asarray(bias[:, 2] / bias[:, 1])
+
+
+def _rest(scene: Scene, joints: Array) -> None:
+    scene.data.ctrl[scene.actuator_index] = joints
+    for _ in range(math.ceil(REST_SECONDS / scene.model.opt.timestep)):
+        mujoco.mj_step(scene.model, scene.data)

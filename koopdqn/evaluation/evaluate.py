@@ -1,0 +1,164 @@
+"""Evaluating a policy on held-out starts, beside what comes without learning: the content of ``eval.json``."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from koopdqn.evaluation.baselines import greedy, nearest_demonstration, straight_line
+from koopdqn.evaluation.dynamics import execute, summarise
+from koopdqn.evaluation.metrics import measure
+from koopdqn.evaluation.references import reference_paths
+from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, MethodReport
+from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.intent.model import IntentModel
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.pose import Array
+from koopdqn.rollout import SUCCESS, Controller, Episode, roll_out
+from koopdqn.workcell import Workcell
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+# Sets the starts' random stream apart from those of demonstrations (1), training (2) and its checks (3),
+# even if the seeds are equal.
+_STREAM = 4
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A finished evaluation.
+
+    Attributes:
+        report: the content of ``eval.json``, as :class:`EvaluationReport` defines it; JSON values only.
+        episodes: the policy's.
+        references: the demonstrator's own path (T, 7) from each episode's start.
+    """
+
+    report: dict[str, Any]
+    episodes: list[Episode]
+    references: list[Array]
+
+
+def work_units(settings: EvaluationSettings) -> int:
+    """Return how many units of work :func:`evaluate` tells ``advance`` of: paths rolled out or executed."""
+    methods = 1 + (len(Baselines.model_fields) if settings.baselines else 0)
+    return methods * settings.episodes + (settings.dynamics_episodes if settings.dynamics else 0)
+
+
+def evaluate(
+    workcell: Workcell,
+    policy: Controller,
+    model: IntentModel,
+    trust: TrustDomain,
+    trajectories: list[Array],
+    settings: EvaluationSettings,
+    step_limit: int,
+    advance: Callable[[int], None] = lambda done: None,
+) -> Evaluation:
+    """Measure a policy on held-out starts. The policy alone acts: no intent model, oracle, mask or look-ahead.
+
+    Args:
+        workcell: task, arm and scene.
+        policy: chooses the actions (N,) from poses (N, 7).
+        model: the fitted intent, for the greedy baseline.
+        trust: the tube, for ``tube_fraction``.
+        trajectories: demonstrated poses (N, 7) at the agent's step, for the baseline that replays one.
+        settings: on which starts, and what is measured beside.
+        step_limit: steps after which an episode fails.
+        advance: told the units of work done so far, of :func:`work_units`.
+
+    Raises:
+        BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
+    """
+    task = workcell.task
+    rng = np.random.default_rng([settings.seed, _STREAM])
+    starts, joints, redrawn = workcell.reachability.draw_starts(task, rng, settings.episodes)
+    references = reference_paths(task, starts, step_limit)
+    done = _Progress(advance)
+    episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
+    done.add(len(episodes))
+
+    def measured(baseline: list[Episode]) -> MethodReport:
+        done.add(len(baseline))
+        return measure(baseline, references, task, trust)
+
+    baselines = None
+    if settings.baselines:
+        baselines = Baselines(
+            straight_line=measured(straight_line(workcell, starts, joints)),
+            greedy=measured(greedy(workcell, model, starts, joints, step_limit)),
+            nearest_demonstration=measured(nearest_demonstration(workcell, trajectories, starts, joints)),
+        )
+    dynamics = _dynamics(workcell, episodes, settings, done) if settings.dynamics else None
+    policy_report = measure(episodes, references, task, trust)
+    report = EvaluationReport(
+        task=task.name,
+        episodes=settings.episodes,
+        seed=settings.seed,
+        redrawn_starts=redrawn,
+        step_limit=step_limit,
+        dynamics=dynamics,
+        baselines=baselines,
+        **dict(policy_report),
+    )
+    return Evaluation(report.model_dump(mode="json"), episodes, references)
+
+
+class _Progress:
+    def __init__(self, advance: Callable[[int], None]) -> None:
+        self._advance = advance
+        self._done = 0
+
+    def add(self, units: int) -> None:
+        self._done += units
+        self._advance(self._done)
+
+
+def _dynamics(
+    workcell: Workcell, episodes: list[Episode], settings: EvaluationSettings, done: _Progress
+) -> DynamicsReport:
+    chosen = [episode for episode in episodes if episode.outcome == SUCCESS][: settings.dynamics_episodes]
+    executions = []
+    for episode in chosen:
+        executions.append(execute(workcell, episode.joints, settings.time_scale))
+        done.add(1)
+    done.add(settings.dynamics_episodes - len(chosen))
+    return summarise(executions, settings.time_scale, workcell.arm.step_seconds)
+
+
+def table(report: dict[str, Any]) -> "Table":
+    """Return the content of ``eval.json`` as a table of one row per method, the policy first."""
+    from rich.table import Table
+
+    found = Table(title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}")
+    found.add_column("method")
+    for heading in ("success\n%", "95 %\ninterval", "deviation\nmm", "p95 of\nmax mm", "Fréchet\nmm", "steps"):
+        found.add_column(heading, justify="right")
+    for heading in ("length\nratio", "in tube\n%"):
+        found.add_column(heading, justify="right")
+    found.add_column("failures")
+    for name, method in {"policy": report, **(report["baselines"] or {})}.items():
+        found.add_row(name.replace("_", " "), *_cells(method))
+    return found
+
+
+def _cells(method: dict[str, Any]) -> list[str]:
+    deviation, (low, high) = method["path_deviation_mm"], method["success_interval_95"]
+    causes = sorted(((count, cause) for cause, count in method["failures"].items() if count), reverse=True)
+    return [
+        f"{100 * method['success_rate']:.0f}",
+        f"{100 * low:.0f}–{100 * high:.0f}",
+        _number(deviation["mean"], 1),
+        _number(deviation["p95_of_max"], 1),
+        _number(deviation["frechet"], 1),
+        _number(method["steps"]["mean"], 0),
+        _number(method["path_length_ratio"], 2),
+        _number(method["tube_fraction"], 0, 100),
+        "\n".join(f"{count} {cause.replace('_', ' ')}" for count, cause in causes) or "none",
+    ]
+
+
+def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
+    return "–" if value is None else f"{value * scale:.{digits}f}"

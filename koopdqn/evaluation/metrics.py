@@ -1,0 +1,103 @@
+"""What is measured of finished episodes, beside the demonstrator's own paths from the same starts."""
+
+from collections import Counter
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.resample import to_count
+from koopdqn.evaluation.frechet import discrete_frechet
+from koopdqn.evaluation.schema import MethodReport, PathDeviation, Summary
+from koopdqn.evaluation.wilson import wilson_interval
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.pose import Array
+from koopdqn.rollout import FAILURES, SUCCESS, Episode
+from koopdqn.tasks.path import arc_lengths
+from koopdqn.tasks.task import Task
+
+SAMPLES = 200
+"""Points at equal shares of arc length at which a path and its reference are compared."""
+
+_MILLIMETRES = 1e3
+
+
+def measure(episodes: list[Episode], references: list[Array], task: Task, trust: TrustDomain) -> MethodReport:
+    """Return what is measured of a method's episodes; :class:`MethodReport` defines every quantity.
+
+    Deviations and lengths are taken over all episodes that made at least one step, failed ones too: a
+    path that ends early is compared, share by share of its own arc length, with the whole reference.
+
+    Args:
+        episodes: at least one.
+        references: the demonstrator's own path (T, 7) from each episode's start.
+        task: gives the goal.
+        trust: the tube.
+    """
+    outcomes = Counter(episode.outcome for episode in episodes)
+    moved = [(e.poses, reference) for e, reference in zip(episodes, references, strict=True) if e.steps]
+    paths = np.array([resampled(path) for path, _ in moved]).reshape(-1, SAMPLES, 7)
+    wanted = np.array([resampled(reference) for _, reference in moved]).reshape(-1, SAMPLES, 7)
+    ends = np.array([episode.poses[-1] for episode in episodes])
+    low, high = wilson_interval(outcomes[SUCCESS], len(episodes))
+    return MethodReport(
+        success_rate=outcomes[SUCCESS] / len(episodes),
+        success_interval_95=[low, high],
+        measured_episodes=len(moved),
+        path_deviation_mm=path_deviation(paths, wanted),
+        rotation_deviation_deg=summary(np.degrees(pose.rotation_distance(paths, wanted))),
+        tube_fraction=_tube_fraction([path for path, _ in moved], trust),
+        final_position_error_mm=summary(pose.position_distance(ends, task.goal) * _MILLIMETRES),
+        final_rotation_error_deg=summary(np.degrees(pose.rotation_distance(ends, task.goal))),
+        path_length_ratio=_length_ratio(moved),
+        steps=summary(np.array([episode.steps for episode in episodes], dtype=float)),
+        failures={cause: outcomes[cause] for cause in FAILURES},
+    )
+
+
+def resampled(path: Array) -> Array:
+    """Return a path (T, 7) at :data:`SAMPLES` equal shares of its arc length, or of its turn if it does not move."""
+    path = np.array(path)
+    # q and −q are one rotation, but half-way between them there is none to interpolate.
+    flips = np.where((path[1:, pose.QUATERNION] * path[:-1, pose.QUATERNION]).sum(axis=1) < 0, -1.0, 1.0)
+    path[1:, pose.QUATERNION] *= np.cumprod(flips)[:, None]
+    return to_count(path, SAMPLES)
+
+
+def path_deviation(paths: Array, references: Array) -> PathDeviation:
+    """Return the deviation of paths (E, K, 7) from references (E, K, 7), row k matched with row k."""
+    if not len(paths):
+        return PathDeviation(mean=None, max=None, p95_of_max=None, frechet=None)
+    distance = pose.position_distance(paths, references) * _MILLIMETRES  # (E, K)
+    frechet = discrete_frechet(paths[..., pose.POSITION], references[..., pose.POSITION]) * _MILLIMETRES
+    largest = distance.max(axis=1)
+    return PathDeviation(
+        mean=float(distance.mean()),
+        max=float(largest.max()),
+        p95_of_max=float(np.percentile(largest, 95)),
+        frechet=float(frechet.mean()),
+    )
+
+
+def summary(values: Array) -> Summary:
+    """Return mean and largest of values, None of none.
+
+    Of values (E, K), with as many in each episode, the mean is also the mean of the episodes' means.
+    """
+    if not values.size:
+        return Summary(mean=None, max=None)
+    return Summary(mean=float(values.mean()), max=float(values.max()))
+
+
+def _tube_fraction(paths: list[Array], trust: TrustDomain) -> float | None:
+    if not paths:
+        return None
+    reached = np.concatenate([path[1:] for path in paths])
+    steps = np.concatenate([np.arange(1, len(path)) for path in paths])
+    return float(trust.inside(reached, steps).mean())
+
+
+def _length_ratio(moved: list[tuple[Array, Array]]) -> float | None:
+    lengths = np.array([[arc_lengths(path[:, pose.POSITION])[-1] for path in pair] for pair in moved])
+    # A start at the goal itself has a reference of no length, and no ratio.
+    lengths = lengths.reshape(-1, 2)[lengths.reshape(-1, 2)[:, 1] > 0]
+    return float((lengths[:, 0] / lengths[:, 1]).mean()) if len(lengths) else None

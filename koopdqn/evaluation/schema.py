@@ -1,0 +1,112 @@
+"""The content of ``eval.json``: every key with its unit. Where nothing could be measured a value is null."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from koopdqn.config.settings import Count, Fraction, NonNegative, NonNegativeInt
+
+IntervalList = Annotated[list[Fraction], Field(min_length=2, max_length=2)]
+
+
+class ReportModel(BaseModel):
+    """Base of the parts of a report: immutable, no unknown keys, no coercion, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Summary(ReportModel):
+    """A quantity over episodes."""
+
+    mean: NonNegative | None = Field(description="mean over episodes")
+    max: NonNegative | None = Field(description="largest of all episodes")
+
+
+class PathDeviation(ReportModel):
+    """Distance [mm] from the reference path, points matched by arc length, over the measured episodes."""
+
+    mean: NonNegative | None = Field(description="mean over episodes of each episode's mean distance [mm]")
+    max: NonNegative | None = Field(description="largest distance of all episodes [mm]")
+    p95_of_max: NonNegative | None = Field(
+        description="95th percentile over episodes of each episode's largest distance [mm]"
+    )
+    frechet: NonNegative | None = Field(description="mean over episodes of the discrete Fréchet distance [mm]")
+
+
+class MethodReport(ReportModel):
+    """What a method (the policy or a baseline) does from the held-out starts.
+
+    The measured episodes are all that made at least one step, whether or not they succeeded. The
+    reference of an episode is the demonstrator's own path without variation from the same start.
+    """
+
+    success_rate: Fraction = Field(description="share of episodes that succeeded")
+    success_interval_95: IntervalList = Field(description="[lower, upper] Wilson 95 % interval of success_rate")
+    measured_episodes: NonNegativeInt = Field(description="episodes that made at least one step")
+    path_deviation_mm: PathDeviation = Field(description="from the reference, over the measured episodes [mm]")
+    rotation_deviation_deg: Summary = Field(
+        description="angle to the reference's orientation at the same share of arc length, over the measured episodes:"
+        " mean of the episodes' means, largest of all [deg]"
+    )
+    tube_fraction: Fraction | None = Field(
+        description="share of all steps of all episodes that end inside the trust domain"
+    )
+    final_position_error_mm: Summary = Field(description="distance to the goal at the end, over all episodes [mm]")
+    final_rotation_error_deg: Summary = Field(description="angle to the goal at the end, over all episodes [deg]")
+    path_length_ratio: NonNegative | None = Field(
+        description="mean over the measured episodes of the path's length over the reference's"
+    )
+    steps: Summary = Field(description="steps made, over all episodes")
+    failures: dict[str, NonNegativeInt] = Field(description="failed episodes by cause; every cause is present")
+
+
+class Contacts(ReportModel):
+    """Contacts in dynamics, of anything with anything."""
+
+    episodes: NonNegativeInt = Field(description="executed paths with a contact")
+    steps: NonNegativeInt = Field(description="physics steps with a contact, of all executed paths")
+    first: str | None = Field(description='the first pair that touched, as "a with b"; null without contact')
+
+
+class DynamicsReport(ReportModel):
+    """Successful paths executed in MuJoCo dynamics through the arm's actuators."""
+
+    episodes: NonNegativeInt = Field(description="executed paths: the first successful ones")
+    time_scale: Annotated[float, Field(ge=1)] = Field(description="how many times robot.step_seconds one step took")
+    step_seconds: Annotated[float, Field(gt=0)] = Field(description="how long one step took [s]")
+    tracking_error_mm: Summary = Field(
+        description="distance of the flange from the commanded position at the same moment, at every physics step:"
+        " mean of the paths' means, largest of all [mm]"
+    )
+    peak_joint_speed_ratio: NonNegative | None = Field(description="largest joint speed over that joint's limit")
+    peak_joint_torque_ratio: NonNegative | None = Field(
+        description="largest joint torque over that joint's limit, the torque that carries the weight included"
+    )
+    contacts: Contacts = Field(description="contacts on the way")
+    sag_mm: Summary = Field(description="distance of the flange from the path's end after half a second at rest [mm]")
+
+
+class Baselines(ReportModel):
+    """What comes without learning, from the same starts."""
+
+    straight_line: MethodReport = Field(
+        description="straight to the goal, turning evenly, in equal steps of at most the task's step"
+    )
+    greedy: MethodReport = Field(description="always the legal action nearest to the intent model's prediction")
+    nearest_demonstration: MethodReport = Field(
+        description="straight to the first pose of the demonstration that starts nearest, then its recorded poses"
+    )
+
+
+class EvaluationReport(MethodReport):
+    """The content of ``eval.json``. The keys of a method, at the top level, are the policy's."""
+
+    task: Annotated[str, Field(min_length=1)] = Field(description="name of the task")
+    episodes: Count = Field(description="held-out starts")
+    seed: NonNegativeInt = Field(description="of the starts")
+    redrawn_starts: NonNegativeInt = Field(
+        description="draws of the start region that the arm could not take and that were drawn again"
+    )
+    step_limit: Count = Field(description="steps after which an episode of the policy or of greedy fails")
+    dynamics: DynamicsReport | None = Field(description="execution in dynamics; null if not asked for")
+    baselines: Baselines | None = Field(description="what comes without learning; null if not asked for")
