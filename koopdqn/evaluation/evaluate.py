@@ -128,19 +128,34 @@ def _dynamics(
     return summarise(executions, settings.time_scale, workcell.arm.step_seconds)
 
 
+_HEADINGS = (
+    "success\n%",
+    "deviation\nmm",
+    "p95 of\nmax mm",
+    "Fréchet\nmm",
+    "lateral\nmm",
+    "steps",
+    "length\nratio",
+    "in tube\n%",
+)
+
+
 def table(report: dict[str, Any]) -> "Table":
     """Return the content of ``eval.json`` as a table of one row per method, the policy first."""
+    from rich import box
     from rich.table import Table
 
-    found = Table(title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}")
-    found.add_column("method")
-    for heading in ("success\n%", "95 %\ninterval", "deviation\nmm", "p95 of\nmax mm", "Fréchet\nmm", "steps"):
-        found.add_column(heading, justify="right")
-    for heading in ("length\nratio", "in tube\n%"):
+    found = Table(
+        title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}",
+        caption="below each success rate its 95 % interval",
+        box=box.SIMPLE_HEAD,
+    )
+    found.add_column("method", no_wrap=True)
+    for heading in _HEADINGS:
         found.add_column(heading, justify="right")
     found.add_column("failures")
     for name, method in {"policy": report, **(report["baselines"] or {})}.items():
-        found.add_row(name.replace("_", " "), *_cells(method))
+        found.add_row(name.replace("_", "\n"), *_cells(method))
     return found
 
 
@@ -148,11 +163,11 @@ def _cells(method: dict[str, Any]) -> list[str]:
     deviation, (low, high) = method["path_deviation_mm"], method["success_interval_95"]
     causes = sorted(((count, cause) for cause, count in method["failures"].items() if count), reverse=True)
     return [
-        f"{100 * method['success_rate']:.0f}",
-        f"{100 * low:.0f}–{100 * high:.0f}",
+        f"{100 * method['success_rate']:.0f}\n{100 * low:.0f}–{100 * high:.0f}",
         _number(deviation["mean"], 1),
         _number(deviation["p95_of_max"], 1),
         _number(deviation["frechet"], 1),
+        _number(method["lateral_deviation_mm"]["mean"], 1),
         _number(method["steps"]["mean"], 0),
         _number(method["path_length_ratio"], 2),
         _number(method["tube_fraction"], 0, 100),

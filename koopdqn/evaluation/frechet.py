@@ -4,29 +4,20 @@ import numpy as np
 
 from koopdqn.pose import Array
 
-# Pairs handled together: 64 pairs of 200 points keep the table of distances under 25 MB.
-_TOGETHER = 64
 
-
-def discrete_frechet(first: Array, second: Array) -> Array:
-    """Return the discrete Fréchet distances (E,) between curves (E, N, D) and (E, M, D), in their unit.
+def discrete_frechet(gap: Array) -> Array:
+    """Return the discrete Fréchet distances (E,) of curve pairs from the distances (E, N, M) between their points.
 
     It is the least leash with which two walkers can go along the two rows of points, neither ever
     going back (Eiter & Mannila 1994). The recursion c(i, j) = max(min(c(i−1, j), c(i−1, j−1), c(i, j−1)),
     d(i, j)) is run along anti-diagonals, whose entries do not depend on one another.
 
     Raises:
-        ValueError: the curves have no points, or their shapes do not fit.
+        ValueError: a curve has no points, or the shape is another.
     """
-    if first.ndim != 3 or second.ndim != 3 or first.shape[::2] != second.shape[::2] or 0 in first.shape + second.shape:
-        raise ValueError(f"curves must have shapes (E, N, D) and (E, M, D), found {first.shape} and {second.shape}")
-    parts = range(0, len(first), _TOGETHER)
-    return np.concatenate([_frechet(first[i : i + _TOGETHER], second[i : i + _TOGETHER]) for i in parts])
-
-
-def _frechet(first: Array, second: Array) -> Array:
-    count, n, m = len(first), first.shape[1], second.shape[1]
-    gap = np.linalg.norm(first[:, :, None] - second[:, None], axis=3)  # (E, N, M)
+    if gap.ndim != 3 or 0 in gap.shape[1:]:
+        raise ValueError(f"distances must have shape (E, N, M) with N, M >= 1, found {gap.shape}")
+    count, n, m = gap.shape
     # Column i + 1 of a diagonal holds row i of the table; column 0 stands for the row before the first.
     before = np.full((count, n + 1), np.inf)
     last = before.copy()
@@ -39,4 +30,4 @@ def _frechet(first: Array, second: Array) -> Array:
             least = np.zeros((count, 1))
         before, last = last, np.full((count, n + 1), np.inf)
         last[:, rows + 1] = np.maximum(least, gap[:, rows, diagonal - rows])
-    return last[:, n]
+    return np.asarray(last[:, n])

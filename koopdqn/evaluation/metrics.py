@@ -5,18 +5,14 @@ from collections import Counter
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import to_count
-from koopdqn.evaluation.frechet import discrete_frechet
-from koopdqn.evaluation.schema import MethodReport, PathDeviation, Summary
+from koopdqn.evaluation.deviation import deviations
+from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviation, Summary
 from koopdqn.evaluation.wilson import wilson_interval
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 from koopdqn.rollout import FAILURES, SUCCESS, Episode
 from koopdqn.tasks.path import arc_lengths
 from koopdqn.tasks.task import Task
-
-SAMPLES = 200
-"""Points at equal shares of arc length at which a path and its reference are compared."""
 
 _MILLIMETRES = 1e3
 
@@ -35,16 +31,17 @@ def measure(episodes: list[Episode], references: list[Array], task: Task, trust:
     """
     outcomes = Counter(episode.outcome for episode in episodes)
     moved = [(e.poses, reference) for e, reference in zip(episodes, references, strict=True) if e.steps]
-    paths = np.array([resampled(path) for path, _ in moved]).reshape(-1, SAMPLES, 7)
-    wanted = np.array([resampled(reference) for _, reference in moved]).reshape(-1, SAMPLES, 7)
+    apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
+    matched, lateral = (_spread(values * _MILLIMETRES) for values in (apart.matched, apart.lateral))
     ends = np.array([episode.poses[-1] for episode in episodes])
     low, high = wilson_interval(outcomes[SUCCESS], len(episodes))
     return MethodReport(
         success_rate=outcomes[SUCCESS] / len(episodes),
         success_interval_95=[low, high],
         measured_episodes=len(moved),
-        path_deviation_mm=path_deviation(paths, wanted),
-        rotation_deviation_deg=summary(np.degrees(pose.rotation_distance(paths, wanted))),
+        path_deviation_mm=PathDeviation(**matched, frechet=_mean(apart.frechet * _MILLIMETRES)),
+        lateral_deviation_mm=LateralDeviation(**lateral),
+        rotation_deviation_deg=summary(np.degrees(apart.rotation)),
         tube_fraction=_tube_fraction([path for path, _ in moved], trust),
         final_position_error_mm=summary(pose.position_distance(ends, task.goal) * _MILLIMETRES),
         final_rotation_error_deg=summary(np.degrees(pose.rotation_distance(ends, task.goal))),
@@ -54,38 +51,24 @@ def measure(episodes: list[Episode], references: list[Array], task: Task, trust:
     )
 
 
-def resampled(path: Array) -> Array:
-    """Return a path (T, 7) at :data:`SAMPLES` equal shares of its arc length, or of its turn if it does not move."""
-    path = np.array(path)
-    # q and −q are one rotation, but half-way between them there is none to interpolate.
-    flips = np.where((path[1:, pose.QUATERNION] * path[:-1, pose.QUATERNION]).sum(axis=1) < 0, -1.0, 1.0)
-    path[1:, pose.QUATERNION] *= np.cumprod(flips)[:, None]
-    return to_count(path, SAMPLES)
-
-
-def path_deviation(paths: Array, references: Array) -> PathDeviation:
-    """Return the deviation of paths (E, K, 7) from references (E, K, 7), row k matched with row k."""
-    if not len(paths):
-        return PathDeviation(mean=None, max=None, p95_of_max=None, frechet=None)
-    distance = pose.position_distance(paths, references) * _MILLIMETRES  # (E, K)
-    frechet = discrete_frechet(paths[..., pose.POSITION], references[..., pose.POSITION]) * _MILLIMETRES
-    largest = distance.max(axis=1)
-    return PathDeviation(
-        mean=float(distance.mean()),
-        max=float(largest.max()),
-        p95_of_max=float(np.percentile(largest, 95)),
-        frechet=float(frechet.mean()),
-    )
-
-
 def summary(values: Array) -> Summary:
     """Return mean and largest of values, None of none.
 
     Of values (E, K), with as many in each episode, the mean is also the mean of the episodes' means.
     """
+    return Summary(mean=_mean(values), max=float(values.max()) if values.size else None)
+
+
+def _mean(values: Array) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _spread(values: Array) -> dict[str, float | None]:
+    """Return mean, maximum and 95th percentile of the episodes' maxima of values (E, K)."""
     if not values.size:
-        return Summary(mean=None, max=None)
-    return Summary(mean=float(values.mean()), max=float(values.max()))
+        return {"mean": None, "max": None, "p95_of_max": None}
+    largest = values.max(axis=1)
+    return {"mean": _mean(values), "max": float(largest.max()), "p95_of_max": float(np.percentile(largest, 95))}
 
 
 def _tube_fraction(paths: list[Array], trust: TrustDomain) -> float | None:

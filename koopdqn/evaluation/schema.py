@@ -22,14 +22,19 @@ class Summary(ReportModel):
     max: NonNegative | None = Field(description="largest of all episodes")
 
 
-class PathDeviation(ReportModel):
-    """Distance [mm] from the reference path, points matched by arc length, over the measured episodes."""
+class LateralDeviation(ReportModel):
+    """Distance [mm] of a path's points from a reference path, over the measured episodes."""
 
     mean: NonNegative | None = Field(description="mean over episodes of each episode's mean distance [mm]")
     max: NonNegative | None = Field(description="largest distance of all episodes [mm]")
     p95_of_max: NonNegative | None = Field(
         description="95th percentile over episodes of each episode's largest distance [mm]"
     )
+
+
+class PathDeviation(LateralDeviation):
+    """The same with points matched by arc length."""
+
     frechet: NonNegative | None = Field(description="mean over episodes of the discrete Fréchet distance [mm]")
 
 
@@ -44,6 +49,10 @@ class MethodReport(ReportModel):
     success_interval_95: IntervalList = Field(description="[lower, upper] Wilson 95 % interval of success_rate")
     measured_episodes: NonNegativeInt = Field(description="episodes that made at least one step")
     path_deviation_mm: PathDeviation = Field(description="from the reference, over the measured episodes [mm]")
+    lateral_deviation_mm: LateralDeviation = Field(
+        description="from the nearest point of the reference: steps along the axes make a path longer in some parts"
+        " than in others, which shifts the points matched by arc length along the path, but not these [mm]"
+    )
     rotation_deviation_deg: Summary = Field(
         description="angle to the reference's orientation at the same share of arc length, over the measured episodes:"
         " mean of the episodes' means, largest of all [deg]"

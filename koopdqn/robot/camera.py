@@ -21,10 +21,18 @@ Image = NDArray[np.uint8]
 Rgba = tuple[float, float, float, float]
 
 _MAX_GEOMS: Final = 10_000
-_MARGIN: Final = 0.06
+_MARGIN: Final = 0.10
 """Share of the picture's half width and half height that stays free around what is to be seen."""
 _AZIMUTHS: Final = (*range(-75, 80, 15), 105, -105, 135, -135)
 _ELEVATIONS: Final = (-20.0, -32.0)
+_SEGMENT: Final = 0.008
+"""Length of a drawn line's pieces [m]: on a bend of 0.1 m they leave the curve by less than 0.1 mm."""
+_SHINES_THROUGH: Final = 0.55
+"""Opacity of a line that something stands before."""
+_COVERED: Final = 6.0
+"""By how much of 255 a pixel differs where a line is drawn on it."""
+_DEPTH_SLACK: Final = 2e-3
+"""What is nearer by less [m] counts as the same."""
 _PROBES: Final = 24
 """Points of the path that are tested for being hidden."""
 
@@ -137,7 +145,6 @@ class Camera:
         self.size = size
         display = scene.model.vis.global_
         display.offwidth, display.offheight = max(display.offwidth, size[0]), max(display.offheight, size[1])
-        self._option = mujoco.MjvOption()
         try:
             self._renderer = mujoco.Renderer(scene.model, height=size[1], width=size[0], max_geom=_MAX_GEOMS)
         # A missing library, driver or display shows in as many ways as there are backends, and not as one error type.
@@ -173,62 +180,92 @@ class Camera:
     ) -> Image:
         """Return the picture (height, width, 3) of the arm at joint angles (6,) [rad].
 
-        Lines with more points than the picture has room for are thinned evenly.
+        Where something stands before a line, the line shines through faintly. Ghosts are seen where
+        they are nearer than anything else.
         """
-        model, data = self.scene.model, self.scene.data
-        self._pose(joints)
-        eye = mujoco.MjvCamera()
-        eye.lookat[:] = view.lookat
-        eye.distance, eye.azimuth, eye.elevation = view.distance, view.azimuth, view.elevation
-        self._renderer.update_scene(data, eye, self._option)
-        drawn = self._renderer.scene
-        for ghost in ghosts:
-            self._pose(ghost.joints)
-            first = drawn.ngeom
-            mujoco.mjv_addGeoms(model, data, self._option, mujoco.MjvPerturb(), mujoco.mjtCatBit.mjCAT_DYNAMIC, drawn)
-            for geom in drawn.geoms[first : drawn.ngeom]:
-                geom.rgba[3] *= ghost.opacity
-        for sphere in spheres:
-            self._sphere(drawn, sphere)
-        self._lines(drawn, lines)
-        return np.asarray(self._renderer.render(), dtype=np.uint8)
+        self._look(joints, view)
+        self._draw(lines, spheres)
+        image = self._renderer.render().astype(float)
+        if ghosts:
+            image = self._with_ghosts(image, joints, view, ghosts)
+        if lines:
+            image = self._with_hidden(image, lines)
+        return np.rint(image).astype(np.uint8)
 
-    def _pose(self, joints: Array) -> None:
+    def _look(self, joints: Array, view: View) -> None:
         self.scene.place(joints)
         # The lights are placed with the bodies that carry them, which kinematics alone leaves out.
         mujoco.mj_comPos(self.scene.model, self.scene.data)
         mujoco.mj_camlight(self.scene.model, self.scene.data)
+        eye = mujoco.MjvCamera()
+        eye.lookat[:] = view.lookat
+        eye.distance, eye.azimuth, eye.elevation = view.distance, view.azimuth, view.elevation
+        self._renderer.update_scene(self.scene.data, eye)
 
-    def _lines(self, drawn: Any, lines: Sequence[Line]) -> None:
-        room = drawn.maxgeom - drawn.ngeom
-        wanted = sum(len(line.points) - 1 for line in lines)
-        every = max(1, int(np.ceil(wanted / max(room - len(lines), 1))))
-        for line in lines:
-            keep = np.unique(np.append(np.arange(0, len(line.points), every), len(line.points) - 1))
-            points = np.asarray(line.points, dtype=float)[keep]
-            for start, end in zip(points[:-1], points[1:], strict=True):
-                geom = self._new_geom(drawn, mujoco.mjtGeom.mjGEOM_CAPSULE, line.rgba)
-                if geom is None:
-                    return
-                mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, line.radius, start, end)
+    def _with_ghosts(self, image: Array, joints: Array, view: View, ghosts: Sequence[Ghost]) -> Array:
+        # Two solid pictures blended by depth: transparent geoms would show every joint inside the others.
+        self._look(joints, view)
+        nearest = self._depth()
+        for ghost in ghosts:
+            self._look(ghost.joints, view)
+            solid = self._renderer.render().astype(float)
+            depth = self._depth()
+            nearer = depth < nearest - _DEPTH_SLACK
+            image = np.where(nearer[..., None], (1 - ghost.opacity) * image + ghost.opacity * solid, image)
+        self._look(joints, view)
+        return image
 
-    def _sphere(self, drawn: Any, sphere: Sphere) -> None:
-        geom = self._new_geom(drawn, mujoco.mjtGeom.mjGEOM_SPHERE, sphere.rgba)
-        if geom is not None:
-            geom.size[:] = sphere.radius
-            geom.pos[:] = sphere.center
+    def _with_hidden(self, image: Array, lines: Sequence[Line]) -> Array:
+        drawn = self._renderer.scene
+        drawn.ngeom = 0
+        empty = self._renderer.render().astype(float)
+        self._draw(lines, ())
+        alone = self._renderer.render().astype(float)
+        covered = np.abs(alone - empty).max(axis=2, keepdims=True) > _COVERED
+        return np.where(covered, (1 - _SHINES_THROUGH) * image + _SHINES_THROUGH * alone, image)
 
-    @staticmethod
-    def _new_geom(drawn: Any, kind: Any, rgba: Rgba) -> Any:
+    def _depth(self) -> Array:
+        self._renderer.enable_depth_rendering()
+        depth = self._renderer.render().astype(float)
+        self._renderer.disable_depth_rendering()
+        return depth
+
+    def _draw(self, lines: Sequence[Line], spheres: Sequence[Sphere]) -> None:
+        drawn = self._renderer.scene
+        for sphere in spheres:
+            if geom := self._new_geom(mujoco.mjtGeom.mjGEOM_SPHERE, sphere.rgba):
+                geom.size[:] = sphere.radius
+                geom.pos[:] = sphere.center
+        thinned = [_thinned(line.points, _SEGMENT) for line in lines]
+        # Longer segments rather than missing lines where there are more than the scene has room for.
+        room = max(drawn.maxgeom - drawn.ngeom, 1)
+        every = max(1, -(-sum(map(len, thinned)) // room))
+        for line, points in zip(lines, thinned, strict=True):
+            kept = np.concatenate([points[:-1:every], points[-1:]])
+            for start, end in zip(kept[:-1], kept[1:], strict=True):
+                if geom := self._new_geom(mujoco.mjtGeom.mjGEOM_CAPSULE, line.rgba):
+                    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, line.radius, start, end)
+
+    def _new_geom(self, kind: Any, rgba: Rgba) -> Any:
+        drawn = self._renderer.scene
         if drawn.ngeom >= drawn.maxgeom:
             return None
         geom = drawn.geoms[drawn.ngeom]
         drawn.ngeom += 1
-        colour = np.array(rgba, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba, dtype=np.float32))
         # A drawn path is no thing in the scene: it shines by itself, so that its colour is that of the plots.
         geom.emission, geom.specular = 0.5, 0.0
+        # Nor does it cast a shadow, which opaque geoms do.
+        geom.transparent = 1
         return geom
+
+
+def _thinned(points: Array, spacing: float) -> Array:
+    """Return points (M, 3) of a polyline (N, 3) at least ``spacing`` [m] of its length apart, both ends kept."""
+    points = np.asarray(points, dtype=float)
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    _, first = np.unique(np.floor(arc / spacing), return_index=True)
+    return points[np.unique(np.append(first, len(points) - 1))]
 
 
 def render(
