@@ -38,7 +38,7 @@ def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
     """Return the SHA-256 of names, types, shapes and bytes of arrays."""
     sha = hashlib.sha256()
     for name in sorted(arrays):
-        values = np.ascontiguousarray(arrays[name])
+        values = np.asarray(arrays[name], order="C")
         sha.update(f"{name}\n{values.dtype.str}\n{values.shape}\n".encode())
         sha.update(values.tobytes())
     return sha.hexdigest()
@@ -49,7 +49,8 @@ def write_artifact(path: Path, artifact: Artifact) -> None:
 
     The same content gives the same bytes.
     """
-    arrays = {name: np.ascontiguousarray(values) for name, values in artifact.arrays.items()}
+    # Not np.ascontiguousarray, which makes an array of one element out of a scalar.
+    arrays = {name: np.asarray(values, order="C") for name, values in artifact.arrays.items()}
     text = canonical_json(
         {"kind": artifact.kind, "format_version": FORMAT_VERSION, _SHA: arrays_digest(arrays), "about": artifact.about}
     )

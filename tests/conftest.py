@@ -1,10 +1,23 @@
-"""What every test shares: off-screen rendering, the marker of slow tests, reproducible examples."""
+"""What every test shares: off-screen rendering, the marker of slow tests, reproducible examples, the shelf."""
 
 import os
 import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from parts import Parts
+
+    from koopdqn.demonstrations.dataset import Demonstrations
+    from koopdqn.environment.reward import IntentReward
+    from koopdqn.intent.fitting import Fitted
+    from koopdqn.pose import Array
+    from koopdqn.robot.ur import URArm
+    from koopdqn.tasks.shelf import ShelfTask
+    from koopdqn.workcell import Workcell
 
 # MuJoCo reads this once, at its first import; unset it means GLFW, which needs a display.
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -16,3 +29,77 @@ settings.load_profile("koopdqn")
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: learns a whole task; run by `make learn` alone")
+
+
+@pytest.fixture(scope="session")
+def parts() -> "Parts":
+    """The default config's parts."""
+    from parts import load_parts
+
+    return load_parts()
+
+
+@pytest.fixture(scope="session")
+def paper() -> "Parts":
+    """The parts of the config under ``preset=paper``."""
+    from parts import load_parts
+
+    return load_parts("preset=paper")
+
+
+@pytest.fixture(scope="session")
+def arm(parts: "Parts") -> "URArm":
+    return parts.arm
+
+
+@pytest.fixture(scope="session")
+def shelf_task(parts: "Parts") -> "ShelfTask":
+    return parts.task
+
+
+@pytest.fixture(scope="session")
+def workcell(shelf_task: "ShelfTask", arm: "URArm") -> "Workcell":
+    from koopdqn.workcell import open_workcell
+
+    return open_workcell(shelf_task, arm)
+
+
+@pytest.fixture(scope="session")
+def demonstrations_of(workcell: "Workcell", parts: "Parts") -> "Callable[[int], Demonstrations]":
+    """Five demonstrations of the shelf task by seed, each set generated once."""
+    from functools import cache
+
+    from koopdqn.demonstrations.generator import generate
+
+    @cache
+    def generated(seed: int) -> "Demonstrations":
+        return generate(workcell.task, workcell.reachability, parts.demo, seed).demonstrations
+
+    return generated
+
+
+@pytest.fixture(scope="session")
+def demonstrations(demonstrations_of: "Callable[[int], Demonstrations]") -> "Demonstrations":
+    return demonstrations_of(0)
+
+
+@pytest.fixture(scope="session")
+def trajectories(demonstrations: "Demonstrations", shelf_task: "ShelfTask") -> "list[Array]":
+    """The demonstrations' poses at the agent's step."""
+    from koopdqn.intent.fitting import agent_steps
+
+    return agent_steps(demonstrations, shelf_task)
+
+
+@pytest.fixture(scope="session")
+def fitted(demonstrations: "Demonstrations", parts: "Parts") -> "Fitted":
+    from koopdqn.intent.fitting import fit
+
+    return fit(demonstrations, parts.task, parts.intent, parts.trust)
+
+
+@pytest.fixture(scope="session")
+def reward(parts: "Parts", fitted: "Fitted") -> "IntentReward":
+    from koopdqn.environment.reward import IntentReward
+
+    return IntentReward(parts.task, fitted.model, fitted.trust, parts.reward)

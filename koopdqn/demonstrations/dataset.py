@@ -53,6 +53,8 @@ class Demonstration:
         if np.any(np.abs(length - 1) > _QUATERNION_TOLERANCE):
             worst = length[np.abs(length - 1).argmax()]
             raise BadInputError(f"quaternions must have length 1 within {_QUATERNION_TOLERANCE}, found {worst:g}")
+        # Dividing again changes last bits; what was normalised once must be read back as it was written.
+        length = np.where(np.abs(length - 1) < 1e-14, 1.0, length)
         poses[:, pose.QUATERNION] = _continuous(poses[:, pose.QUATERNION] / length[:, None])
         object.__setattr__(self, "poses", _frozen(poses))
         object.__setattr__(self, "times", _frozen(self.times))

@@ -112,9 +112,8 @@ def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Arr
 
 def _follow(task: Task, start: Array, shape: Array) -> Array:
     law = task.demonstrator_on(task.nominal_path.displaced(shape))
-    fine = type(law)(law.path, law.goal, law.step / _SUBSTEPS, law.pull_back)
     limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
-    return fine.roll_out(start, limit)
+    return law.finer(_SUBSTEPS).roll_out(start, limit)
 
 
 def _paced(poses: Array, settings: DemonstrationSettings, rng: np.random.Generator) -> tuple[Array, Array]:

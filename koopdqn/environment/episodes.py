@@ -124,8 +124,13 @@ class StartSampler:
     def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Motion]:
         while True:
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]
-            pose = trajectory[rng.integers(len(trajectory))].copy()
+            index = rng.integers(len(trajectory))
+            pose = trajectory[index].copy()
             pose[:3] += rng.normal(scale=self.spread, size=3)
+            if self.task.orientation == "learned":
+                # A turn that runs ahead of the position or behind it.
+                shift = round(rng.normal(scale=self.spread) / self.task.step_m)
+                pose[3:] = trajectory[np.clip(index + shift, 0, len(trajectory) - 1), 3:]
             motion = self.reachability.enter(pose)
             if motion.joints is not None and not self.task.reached(pose[None])[0]:
                 return pose, motion

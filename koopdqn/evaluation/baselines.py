@@ -20,12 +20,13 @@ def straight_path(start: Array, end: Array, task: Task) -> Array:
     """Return the poses (T, 7) from a start (7,) straight to an end (7,), turning evenly along the geodesic.
 
     Its equal steps are as few as keep each within the task's step, and each turn within what a
-    demonstration's samples may turn (:func:`koopdqn.intent.fitting.agent_steps`).
+    demonstration's samples may turn (:func:`koopdqn.intent.fitting.agent_steps`). From a pose to itself
+    there is no step: T = 1.
     """
     distance, angle = float(pose.position_distance(start, end)), float(pose.rotation_distance(start, end))
     largest_turn = TURNS_PER_STEP * task.rotation_tolerance_rad
     # 1e-9: a distance of exactly n steps must not become n + 1 by rounding.
-    count = max(1, math.ceil(distance / task.step_m - 1e-9), math.ceil(angle / largest_turn - 1e-9))
+    count = max(math.ceil(distance / task.step_m - 1e-9), math.ceil(angle / largest_turn - 1e-9))
     share = np.linspace(0.0, 1.0, count + 1)
     position = start[pose.POSITION] + share[:, None] * (end[pose.POSITION] - start[pose.POSITION])
     turned = pose.turned_toward(np.tile(start[pose.QUATERNION], (count + 1, 1)), end[pose.QUATERNION], share * angle)

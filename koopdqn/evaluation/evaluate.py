@@ -149,6 +149,7 @@ def table(report: dict[str, Any]) -> "Table":
         title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}",
         caption="below each success rate its 95 % interval",
         box=box.SIMPLE_HEAD,
+        padding=(0, 0, 0, 1),
     )
     found.add_column("method", no_wrap=True)
     for heading in _HEADINGS:

@@ -13,13 +13,12 @@ from koopdqn.errors import BadInputError
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.pose import Array
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import TURNS_PER_STEP, Task
 
-# A demonstrated turn of up to this many rotation tolerances in one step can be matched by an action (design, row 10).
-TURNS_PER_STEP = 5.0
 _PAPER_SAMPLES = 60
 _PAPER_LARGEST_ERROR_M = 2.3e-3
 _AXES = ("x", "y", "z")
+_TURNS = ("about_x", "about_y", "about_z")
 
 
 @dataclass(frozen=True)
@@ -67,30 +66,47 @@ def fit(
     errors: list[Array] = []
     rollouts: list[dict[str, float]] = []
     for index, held_out in enumerate(trajectories):
-        others = trajectories[:index] + trajectories[index + 1 :]
-        fold = IntentModel.fit(others, task.goal, intent)
-        errors.append(fold.predict(held_out[:-1])[:, pose.POSITION] - held_out[1:, pose.POSITION])
+        fold = IntentModel.fit(trajectories[:index] + trajectories[index + 1 :], task, intent)
+        errors.append(_one_step_errors(fold, held_out))
         rollouts.append(_roll_out_error(fold, held_out, task))
         advance(index + 1)
-    model = IntentModel.fit(trajectories, task.goal, intent)
-    sizes = [np.linalg.norm(error, axis=1) for error in errors]
-    domain = TrustDomain.fit(trajectories, sizes, task.goal, trust)
-    report = {
+    model = IntentModel.fit(trajectories, task, intent)
+    sizes = [_sizes(error) for error in errors]
+    report: dict[str, Any] = {
         "task": task.name,
         "intent": intent.name,
         "demonstrations": len(trajectories),
         "samples": [len(trajectory) for trajectory in trajectories],
         "step_m": task.step_m,
-        "one_step_error_m": _error_summary(errors),
-        "one_step_error_per_step_m": _per_step(sizes),
+        "one_step_error_m": _error_summary([error[:, :3] for error in errors], _AXES),
+        "one_step_error_per_step_m": _per_step([size[:, 0] for size in sizes]),
+        "one_step_error_rad": None,
+        "one_step_error_per_step_rad": None,
         "roll_out_error_m": _summary_of_roll_outs(rollouts),
         "spectral_radius": model.position.spectral_radius(),
+        "spectral_radius_rotation": None,
         "lifted_dimension": len(model.position.matrix),
         "trust": _coverage(trajectories, sizes, task, trust),
         "unmatched_share": unmatched_share(trajectories, task),
         "sixty_samples": _sixty_samples(demonstrations, task, intent),
     }
-    return Fitted(model, domain, report)
+    if model.rotation is not None:
+        report["one_step_error_rad"] = _error_summary([error[:, 3:] for error in errors], _TURNS)
+        report["one_step_error_per_step_rad"] = _per_step([size[:, 1] for size in sizes])
+        report["spectral_radius_rotation"] = model.rotation.koopman.spectral_radius()
+    return Fitted(model, TrustDomain.fit(trajectories, sizes, task.frame, trust), report)
+
+
+def _one_step_errors(model: IntentModel, held_out: Array) -> Array:
+    """Return x, y, z [m] and the rotation vector [rad] (N − 1, 6) from each true next pose to its prediction."""
+    predicted, true = model.predict(held_out[:-1]), held_out[1:]
+    turn = pose.multiply(pose.conjugate(true[:, pose.QUATERNION]), predicted[:, pose.QUATERNION])
+    position = predicted[:, pose.POSITION] - true[:, pose.POSITION]
+    return np.concatenate([position, pose.to_rotation_vector(turn)], axis=1)
+
+
+def _sizes(errors: Array) -> Array:
+    return np.stack([np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)], axis=1)
 
 
 def _check(demonstrations: Demonstrations, task: Task) -> None:
@@ -129,7 +145,7 @@ def _summary_of_roll_outs(rollouts: list[dict[str, float]]) -> dict[str, Any]:
     }
 
 
-def _error_summary(errors: list[Array]) -> dict[str, Any]:
+def _error_summary(errors: list[Array], names: tuple[str, ...]) -> dict[str, Any]:
     together = np.concatenate(errors)
     sizes = np.linalg.norm(together, axis=1)
     rms = np.sqrt((together**2).mean(axis=0))
@@ -137,8 +153,8 @@ def _error_summary(errors: list[Array]) -> dict[str, Any]:
         "rms": float(np.sqrt((sizes**2).mean())),
         "mean": float(sizes.mean()),
         "max": float(sizes.max()),
-        "rms_per_component": dict(zip(_AXES, rms.tolist(), strict=True)),
-        "max_per_component": dict(zip(_AXES, np.abs(together).max(axis=0).tolist(), strict=True)),
+        "rms_per_component": dict(zip(names, rms.tolist(), strict=True)),
+        "max_per_component": dict(zip(names, np.abs(together).max(axis=0).tolist(), strict=True)),
     }
 
 
@@ -155,7 +171,7 @@ def _coverage(trajectories: list[Array], sizes: list[Array], task: Task, setting
     shares, whole = [], []
     for index, held_out in enumerate(trajectories):
         others = [i for i in range(len(trajectories)) if i != index]
-        fold = TrustDomain.fit([trajectories[i] for i in others], [sizes[i] for i in others], task.goal, settings)
+        fold = TrustDomain.fit([trajectories[i] for i in others], [sizes[i] for i in others], task.frame, settings)
         inside = fold.inside(held_out, np.arange(len(held_out)))
         shares.append(float(inside.mean()))
         whole.append(bool(inside.all()))
@@ -182,19 +198,26 @@ def unmatched_share(trajectories: list[Array], task: Task) -> float:
     return unmatched / total
 
 
-def _sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSettings) -> dict[str, float]:
+def _sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSettings) -> dict[str, float | None]:
+    """Return the held-out one-step errors at the paper's sampling, beside those of predicting no motion."""
     trajectories = [to_count(item.poses, _PAPER_SAMPLES) for item in demonstrations.items]
     errors, motions = [], []
     for index, held_out in enumerate(trajectories):
-        fold = IntentModel.fit(trajectories[:index] + trajectories[index + 1 :], task.goal, intent)
-        errors.append(fold.predict(held_out[:-1])[:, pose.POSITION] - held_out[1:, pose.POSITION])
-        motions.append(np.diff(held_out[:, pose.POSITION], axis=0))
-    error, motion = (np.sqrt((np.concatenate(rows) ** 2).sum(axis=1)) for rows in (errors, motions))
-    rms, persistence = float(np.sqrt((error**2).mean())), float(np.sqrt((motion**2).mean()))
+        fold = IntentModel.fit(trajectories[:index] + trajectories[index + 1 :], task, intent)
+        errors.append(_sizes(_one_step_errors(fold, held_out)))
+        moved = pose.position_distance(held_out[1:], held_out[:-1])
+        motions.append(np.stack([moved, pose.rotation_distance(held_out[1:], held_out[:-1])], axis=1))
+    error, motion = np.concatenate(errors), np.concatenate(motions)
+    rms, persistence = (np.sqrt((rows**2).mean(axis=0)) for rows in (error, motion))
+    turns = task.orientation == "learned"
     return {
-        "rms_m": rms,
-        "persistence_rms_m": persistence,
-        "rms_over_persistence": rms / persistence,
-        "max_m": float(error.max()),
-        "paper_max_m": _PAPER_LARGEST_ERROR_M,
+        "rms_m": float(rms[0]),
+        "persistence_rms_m": float(persistence[0]),
+        "rms_over_persistence": float(rms[0] / persistence[0]),
+        "max_m": float(error[:, 0].max()),
+        "paper_max_m": _PAPER_LARGEST_ERROR_M if task.name == "shelf" else None,
+        "rms_rad": float(rms[1]) if turns else None,
+        "persistence_rms_rad": float(persistence[1]) if turns else None,
+        "rms_over_persistence_rotation": float(rms[1] / persistence[1]) if turns else None,
+        "max_rad": float(error[:, 1].max()) if turns else None,
     }

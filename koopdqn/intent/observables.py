@@ -4,9 +4,9 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from koopdqn.config.settings import Settings
+from koopdqn.config.settings import Floats, Settings
 from koopdqn.pose import Array
 
 
@@ -60,3 +60,29 @@ class RandomFourier(Observables):
         frequencies, phases = self._draw
         waves = np.cos(states @ frequencies + phases) - np.cos(phases)
         return np.asarray(np.sqrt(2.0 / self.count) * waves)
+
+
+class RadialTurn(Observables):
+    """For rotation vectors o from the goal: the direction o/‖o‖ times hat functions of the angle ‖o‖.
+
+    A turn along the geodesic to the goal shortens o and keeps its direction, at a rate that may be any function
+    of the angle; with these observables such a law is exactly linear where the rate is linear between the
+    knots. They know no wrap: up to just short of half a turn o is continuous.
+    """
+
+    knots: Floats = Field(min_length=2, description="angles at which the hat functions peak, increasing [rad]")
+
+    @model_validator(mode="after")
+    def _check_knots(self) -> "RadialTurn":
+        if self.knots[0] <= 0 or np.any(np.diff(self.knots) <= 0):
+            raise ValueError(f"knots must be positive and increase, found {list(self.knots)}")
+        return self
+
+    def features(self, states: Array) -> Array:
+        """Return the features (N, 3 knots) of rotation vectors (N, 3) [rad]."""
+        angle = np.linalg.norm(states, axis=1)
+        # Below the first knot the direction fades, so that everything vanishes at the goal.
+        direction = states / np.maximum(angle, self.knots[0])[:, None]
+        count = len(self.knots)
+        hats = np.stack([np.interp(angle, self.knots, np.eye(count)[k]) for k in range(count)], axis=1)
+        return np.asarray((hats[:, :, None] * direction[:, None, :]).reshape(len(states), 3 * count))

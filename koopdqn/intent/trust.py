@@ -10,6 +10,8 @@ from koopdqn import pose
 from koopdqn.config.settings import Settings
 from koopdqn.demonstrations.resample import to_count
 from koopdqn.pose import Array
+from koopdqn.tasks.path import at_arc_lengths
+from koopdqn.tasks.task import angles_in
 
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 
@@ -24,6 +26,7 @@ class TrustSettings(Settings):
     position_floor_m: float = Field(ge=0, description="least standard deviation of x, y, z [m]")
     rotation_floor_rad: float = Field(ge=0, description="least standard deviation of roll, pitch, yaw [rad]")
     error_limit_m: float = Field(gt=0, description="trust no step whose held-out one-step error is larger [m]")
+    error_limit_rad: float = Field(gt=0, description="the same for orientation [rad]")
     needs: Literal["reached", "both"] = Field(
         description="which state must be trusted: the reached one (the paper) or also the one before"
     )
@@ -33,54 +36,56 @@ class TrustSettings(Settings):
 class TrustDomain:
     """A box of k standard deviations around the mean of every step, less the steps where the model errs.
 
-    Roll, pitch and yaw are those of the rotation relative to the goal's frame, away from their singularity.
+    Roll, pitch and yaw are those of the rotation relative to a frame that keeps them from their singularity.
 
     Attributes:
         settings: what it was drawn with.
-        goal: the goal pose (7,).
+        frame: (2, 4) that frame, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
         mean: (T, 6) [m, rad] of x, y, z, roll, pitch, yaw at every step.
         deviation: (T, 6) standard deviations, not below their floors.
-        error: (T,) [m] the largest held-out one-step error at every step.
+        error: (T, 2) [m, rad] the largest held-out one-step errors of position and orientation at every step.
     """
 
     settings: TrustSettings
-    goal: Array
+    frame: Array
     mean: Array
     deviation: Array
     error: Array
 
     @classmethod
-    def fit(cls, trajectories: list[Array], errors: list[Array], goal: Array, settings: TrustSettings) -> "TrustDomain":
-        """Return the domain of pose trajectories (N, 7) with held-out one-step errors (N − 1,) [m] each.
+    def fit(
+        cls, trajectories: list[Array], errors: list[Array], frame: Array, settings: TrustSettings
+    ) -> "TrustDomain":
+        """Return the domain of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
 
         With matching by step, the statistics of step t are over the demonstrations that have a step t, as
         in §3.4. With matching by any step, demonstrations are first aligned by their share of path travelled.
         """
-        components = [components_of(trajectory, goal) for trajectory in trajectories]
-        padded = [np.append(error, error[-1]) for error in errors]
+        components = [components_of(trajectory, frame) for trajectory in trajectories]
+        padded = [np.concatenate([error, error[-1:]]) for error in errors]
         longest = max(len(rows) for rows in components)
         if settings.matching == "any":
-            aligned = [components_of(to_count(trajectory, longest), goal) for trajectory in trajectories]
+            aligned = [components_of(to_count(trajectory, longest), frame) for trajectory in trajectories]
             stack = np.array(aligned)
             mean, deviation = stack.mean(axis=0), stack.std(axis=0)
-            shares = [np.interp(np.linspace(0, 1, longest), np.linspace(0, 1, len(e)), e) for e in padded]
-            error = np.array(shares).max(axis=0)
+            share = np.linspace(0, 1, longest)
+            error = np.max([at_arc_lengths(e, np.linspace(0, 1, len(e)), share) for e in padded], axis=0)
         else:
             at_step = [[rows[t] for rows in components if t < len(rows)] for t in range(longest)]
             mean = np.array([np.mean(rows, axis=0) for rows in at_step])
             deviation = np.array([np.std(rows, axis=0) for rows in at_step])
-            error = np.array([max(e[t] for e in padded if t < len(e)) for t in range(longest)])
+            error = np.array([np.max([e[t] for e in padded if t < len(e)], axis=0) for t in range(longest)])
         floor = np.repeat([settings.position_floor_m, settings.rotation_floor_rad], 3)
-        return cls(settings, goal, mean, np.maximum(deviation, floor), error)
+        return cls(settings, frame, mean, np.maximum(deviation, floor), error)
 
     def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
         """Return ``indomain`` of poses (N, 7) reached after ``steps`` (N,) steps, as booleans (N,).
 
         The step count matters under matching by step only; past the demonstrations' end it is their last.
         """
-        rows = components_of(poses, self.goal)
+        rows = components_of(poses, self.frame)
         width = self.settings.sigmas * self.deviation
-        known = self.error <= self.settings.error_limit_m
+        known = self.known
         if self.settings.matching == "step":
             index = np.minimum(steps, len(self.mean) - 1)
             return np.asarray(np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1) & known[index])
@@ -90,11 +95,16 @@ class TrustDomain:
             inside &= np.abs(rows[:, i : i + 1] - self.mean[known, i]) <= width[known, i]
         return np.asarray(inside.any(axis=1))
 
+    @property
+    def known(self) -> np.ndarray:
+        """Whether the model's held-out errors are within their limits at every step, as booleans (T,)."""
+        return np.asarray(np.all(self.error <= self._limits, axis=1))
+
     def outside(self, point: Array, step: int) -> str:
         """Return in a few words why a pose (7,) is not trusted, or an empty string if it is."""
         if self.inside(point[None], np.array([step]))[0]:
             return ""
-        row = components_of(point[None], self.goal)[0]
+        row = components_of(point[None], self.frame)[0]
         sigmas = np.abs(row - self.mean) / np.where(self.deviation > 0, self.deviation, np.inf)
         nearest = min(step, len(self.mean) - 1)
         if self.settings.matching == "any":
@@ -103,11 +113,18 @@ class TrustDomain:
         if sigmas[nearest, worst] > self.settings.sigmas:
             name, far = COMPONENTS[worst], sigmas[nearest, worst]
             return f"{name} is {far:.1f} standard deviations from the demonstrations (limit {self.settings.sigmas:g})"
-        error, limit = self.error[nearest] * 1e3, self.settings.error_limit_m * 1e3
-        return f"the model's held-out error here is {error:.2f} mm (limit {limit:.2f} mm)"
+        position, rotation = self.error[nearest] * (1e3, np.degrees(1.0))
+        most, turn = self._limits * (1e3, np.degrees(1.0))
+        return (
+            f"the model's held-out error here is {position:.2f} mm and {rotation:.2f}°"
+            f" (limits {most:.2f} mm and {turn:.2f}°)"
+        )
+
+    @property
+    def _limits(self) -> Array:
+        return np.array([self.settings.error_limit_m, self.settings.error_limit_rad])
 
 
-def components_of(poses: Array, goal: Array) -> Array:
-    """Return x, y, z [m] and roll, pitch, yaw [rad] (N, 6) of poses (N, 7), angles relative to the goal's frame."""
-    relative = pose.multiply(pose.conjugate(goal[pose.QUATERNION]), poses[:, pose.QUATERNION])
-    return np.concatenate([poses[:, pose.POSITION], pose.to_roll_pitch_yaw(relative)], axis=1)
+def components_of(poses: Array, frame: Array) -> Array:
+    """Return x, y, z [m] and roll, pitch, yaw [rad] (N, 6) of poses (N, 7), angles in a frame (2, 4)."""
+    return np.concatenate([poses[:, pose.POSITION], angles_in(frame, poses[:, pose.QUATERNION])], axis=1)

@@ -25,8 +25,8 @@ _MARGIN: Final = 0.10
 """Share of the picture's half width and half height that stays free around what is to be seen."""
 _AZIMUTHS: Final = (*range(-75, 80, 15), 105, -105, 135, -135)
 _ELEVATIONS: Final = (-20.0, -32.0)
-_SEGMENT: Final = 0.008
-"""Length of a drawn line's pieces [m]: on a bend of 0.1 m they leave the curve by less than 0.1 mm."""
+_SEGMENT: Final = 0.012
+"""Length of a drawn line's pieces [m]: on a bend of 0.1 m they leave the curve by 0.2 mm."""
 _SHINES_THROUGH: Final = 0.55
 """Opacity of a line that something stands before."""
 _COVERED: Final = 6.0
@@ -252,11 +252,10 @@ class Camera:
             return None
         geom = drawn.geoms[drawn.ngeom]
         drawn.ngeom += 1
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(rgba, dtype=np.float32))
-        # A drawn path is no thing in the scene: it shines by itself, so that its colour is that of the plots.
-        geom.emission, geom.specular = 0.5, 0.0
-        # Nor does it cast a shadow, which opaque geoms do.
-        geom.transparent = 1
+        colour = np.array(rgba, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+        # It shines by itself, so that its colour is that of the plots.
+        geom.emission, geom.specular = 0.1, 0.0
         return geom
 
 
@@ -289,9 +288,8 @@ def render(
 def choose_view(scene: Scene, joints: Array, size: tuple[int, int]) -> View:
     """Return the view that hides least of a motion and has the arm and its path in the picture.
 
-    Of a fan of directions it takes the one from which most of the flange's path and of the payload at
-    both ends can be seen, by rays cast from the eye with the arm at start and goal; of equals, the one
-    that shows the path largest. It needs no OpenGL.
+    Of a fan of directions it takes the one from which, by rays cast from the eye, the payload can be seen
+    at the goal, the least of the flange's path is hidden, and the path is spread widest. It needs no OpenGL.
 
     Args:
         scene: the scene.
@@ -299,13 +297,14 @@ def choose_view(scene: Scene, joints: Array, size: tuple[int, int]) -> View:
         size: width and height of the picture [pixels].
     """
     path = scene.arm.forward(joints)[:, pose.POSITION]
-    probes = path[np.linspace(0, len(path) - 1, _PROBES).astype(int)]
-    seen = np.concatenate([path, *(_arm_corners(scene, row) for row in (joints[0], joints[len(joints) // 2], joints[-1]))])
+    seen = np.concatenate(
+        [path, *(_arm_corners(scene, row) for row in (joints[0], joints[len(joints) // 2], joints[-1]))]
+    )
     best, best_score = None, -np.inf
     for elevation in _ELEVATIONS:
         for azimuth in _AZIMUTHS:
             view = fitted_view(seen, azimuth, elevation, size, scene.model.vis.global_.fovy)
-            score = _visible(scene, joints, probes, view) + 0.5 * _spread(path, view)
+            score = _score(scene, joints, path, view)
             if score > best_score + 1e-9:
                 best, best_score = view, score
     assert best is not None
@@ -348,31 +347,27 @@ def _arm_corners(scene: Scene, joints: Array) -> Array:
     return np.concatenate([*corners, np.zeros((1, 3))])
 
 
-def _visible(scene: Scene, joints: Array, probes: Array, view: View) -> float:
-    """Return the share (0…1) of path points and of the payload's middles that nothing hides, at start and goal."""
-    model, data = scene.model, scene.data
+def _seen_share(scene: Scene, joints: Array, targets: Sequence[tuple[Array, int]], eye: Array) -> float:
+    """Return the share of targets, points (3,) [m] with the geom each lies in or −1, that nothing hides at joints (6,)."""
+    scene.place(joints)
+    hit = np.zeros(1, dtype=np.int32)
+    seen = 0
+    for point, own in targets:
+        # The distance is in lengths of the ray: under 1 something stands before the point, −1 is nothing at all.
+        distance = mujoco.mj_ray(scene.model, scene.data, eye, point - eye, None, 1, -1, hit)
+        seen += distance < 0 or distance > 0.98 or int(hit[0]) == own
+    return seen / max(len(targets), 1)
+
+
+def _score(scene: Scene, joints: Array, path: Array, view: View) -> float:
+    """Return how good a view of a motion is: the payload seen at the goal, the path unhidden and spread wide."""
+    scene.place(joints[-1])
+    model = scene.model
     payload = [i for i in range(model.ngeom) if "payload_" in model.geom(i).name]
-    hidden, total = 0.0, 0.0
-    for row in (joints[0], joints[-1]):
-        scene.place(row)
-        targets = [(point, -1) for point in probes]
-        # The payload is what the eye looks for: it weighs as much as a quarter of the path.
-        weights = [1.0] * len(probes)
-        for geom in payload:
-            targets.append((data.geom_xpos[geom].copy(), geom))
-            weights.append(len(probes) / 4 / len(payload))
-        hit = np.zeros(1, dtype=np.int32)
-        for (point, own), weight in zip(targets, weights, strict=True):
-            ray = point - view.eye
-            distance = mujoco.mj_ray(model, data, view.eye, ray, None, 1, -1, hit)
-            total += weight
-            # The distance is in lengths of the ray: under 1 something stands before the point.
-            if 0 <= distance < 0.98 and int(hit[0]) != own:
-                hidden += weight
-    return 1.0 - hidden / total
-
-
-def _spread(path: Array, view: View) -> float:
-    """Return how large a path (N, 3) looks: the shorter side of its outline over its distance."""
+    targets = [(scene.data.geom_xpos[i].copy(), i) for i in payload]
+    probes = [(path[i], -1) for i in np.linspace(0, len(path) - 1, _PROBES).astype(int)]
     flat = (path - path.mean(axis=0)) @ view.axes()[:2].T
-    return float(np.linalg.svd(flat / np.sqrt(len(flat)), compute_uv=False)[-1] / view.distance) * 10.0
+    # The path's outline across its longer side, as an angle at the eye.
+    spread = float(np.linalg.svd(flat / np.sqrt(len(flat)), compute_uv=False)[-1]) / view.distance
+    unhidden = np.mean([_seen_share(scene, row, probes, view.eye) for row in (joints[0], joints[-1])])
+    return _seen_share(scene, joints[-1], targets, view.eye) + 0.3 * float(unhidden) + 20.0 * spread

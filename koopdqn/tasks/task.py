@@ -10,7 +10,7 @@ from pydantic import Field, Strict, model_validator
 from koopdqn import pose
 from koopdqn.config.settings import Settings, Vector3, Vector4
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrator import Demonstrator
+from koopdqn.tasks.demonstrator import Demonstrator, TurnLaw
 from koopdqn.tasks.path import SmoothPath
 
 if TYPE_CHECKING:
@@ -21,6 +21,10 @@ Waypoints = Annotated[tuple[Vector3, ...], Strict(False), Field(min_length=2)]
 # Half the angle between neighbours of the six axes and the goal direction is at most 54.7°, an error of
 # 2 sin(54.7°/2) = 0.92 of a step; so the step may exceed the tolerance by at most 1/0.92.
 MAX_STEP_PER_TOLERANCE = 1.087
+# A turn of up to this many rotation tolerances in one step can be matched by an action.
+TURNS_PER_STEP = 5.0
+# The paper's lift has no constant; a yaw that stays at this value [rad] is one.
+_CONSTANT_YAW = 1.0
 
 
 class PaperSettings(Settings):
@@ -42,6 +46,9 @@ class Task(Settings, ABC):
     start_quaternion: Vector4
     goal_quaternion: Vector4
     start_half_range_m: Vector3 = Field(description="half the start region along each axis [m]")
+    start_tilt_rad: float = Field(
+        ge=0, le=0.5, description="largest turn of a start, about the axis of the turn to the goal [rad]"
+    )
     step_m: float = Field(gt=0, description="distance of one action [m]")
     position_tolerance_m: float = Field(gt=0, description="to compare poses [m]")
     rotation_tolerance_rad: float = Field(gt=0, description="to compare poses [rad]")
@@ -83,6 +90,11 @@ class Task(Settings, ABC):
         """Return whether each pose (N, 7) breaks the task's own rule, as booleans (N,)."""
 
     @property
+    def turn_law(self) -> TurnLaw | None:
+        """How the person turns; None where orientation is held."""
+        return None
+
+    @property
     @abstractmethod
     def rule(self) -> str:
         """The task's own rule in a few words."""
@@ -91,6 +103,31 @@ class Task(Settings, ABC):
     def goal(self) -> Array:
         """The goal pose (7,)."""
         return pose.make(self.waypoints[-1], self.goal_quaternion)
+
+    @cached_property
+    def frame(self) -> Array:
+        """Two quaternions (2, 4), left L and right R: roll, pitch and yaw of an orientation q are those of L⁻¹ q R.
+
+        Where orientation is held, L is the goal's and R the identity. Otherwise the turn from start to goal
+        becomes roll, from minus to plus half of it, while pitch stays near 0 and yaw near 1 rad: away from the
+        angles' singularity and from ±180°.
+        """
+        goal, start = self.goal[pose.QUATERNION], self.nominal_start[pose.QUATERNION]
+        turn = pose.to_rotation_vector(pose.multiply(pose.conjugate(goal), start))
+        angle = float(np.linalg.norm(turn))
+        if angle == 0.0:
+            return np.array([goal, pose.IDENTITY[pose.QUATERNION]])
+        axis = turn / angle
+        # The right side takes the x axis to the axis of the turn.
+        between = np.array([1.0 + axis[0], 0.0, -axis[2], axis[1]])
+        right = pose.normalized(between) if axis[0] > -0.99 else np.array([0.0, 0.0, 0.0, 1.0])
+        half_way = pose.multiply(goal, pose.from_rotation_vector(0.5 * turn))
+        yaw = pose.from_rotation_vector([0.0, 0.0, -_CONSTANT_YAW])
+        return np.array([pose.multiply(half_way, pose.multiply(right, yaw)), right])
+
+    def angles(self, quaternions: Array) -> Array:
+        """Return roll, pitch and yaw (N, 3) [rad] of quaternions (N, 4) in the task's :attr:`frame`."""
+        return angles_in(self.frame, quaternions)
 
     @cached_property
     def nominal_start(self) -> Array:
@@ -109,16 +146,34 @@ class Task(Settings, ABC):
 
     def demonstrator_on(self, path: SmoothPath) -> Demonstrator:
         """Return the person's law on another path."""
-        return Demonstrator(path, self.goal, self.step_m, self.pull_back_m)
+        return Demonstrator(path, self.goal, self.step_m, self.pull_back_m, self.turn_law)
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7) drawn evenly from the start region."""
+        """Return ``count`` poses (count, 7) drawn evenly from the start region, turned about the turn's own axis."""
         half = np.array(self.start_half_range_m)
-        return pose.make(
-            self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3)), self.start_quaternion
-        )
+        positions = self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3))
+        poses = pose.make(positions, self.start_quaternion)
+        if self.start_tilt_rad > 0:
+            start = self.nominal_start[pose.QUATERNION]
+            turn = pose.to_rotation_vector(pose.multiply(pose.conjugate(self.goal[pose.QUATERNION]), start))
+            angle = rng.uniform(-self.start_tilt_rad, self.start_tilt_rad, (count, 1))
+            tilt = pose.from_rotation_vector(angle * turn / np.linalg.norm(turn))
+            poses[:, pose.QUATERNION] = pose.multiply(start, tilt)
+        return poses
 
     def reached(self, poses: Array) -> np.ndarray:
         """Return whether each pose (N, 7) counts as the goal, as booleans (N,)."""
         near = pose.position_distance(poses, self.goal) <= self.goal_tolerance_m
         return near & (pose.rotation_distance(poses, self.goal) <= self.goal_rotation_tolerance_rad)
+
+
+def angles_in(frame: Array, quaternions: Array) -> Array:
+    """Return roll, pitch and yaw (N, 3) [rad] of quaternions (N, 4) in a frame (2, 4) as :attr:`Task.frame` gives."""
+    left, right = frame
+    return pose.to_roll_pitch_yaw(pose.multiply(pose.conjugate(left), pose.multiply(quaternions, right)))
+
+
+def quaternions_in(frame: Array, angles: Array) -> Array:
+    """Return the quaternions (N, 4) of roll, pitch and yaw (N, 3) [rad] in a frame (2, 4)."""
+    left, right = frame
+    return pose.multiply(left, pose.multiply(pose.from_roll_pitch_yaw(angles), pose.conjugate(right)))

@@ -1,0 +1,1 @@
+"""The pictures of each command: one module a picture, all in one style."""

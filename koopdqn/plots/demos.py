@@ -1,0 +1,112 @@
+"""The picture of ``koopdqn demo``: the demonstrated paths in the scene, and in figures."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.plots.style import (
+    MEANT,
+    PLANES,
+    Image,
+    frame_projection,
+    picture,
+    project,
+    series_colours,
+    show_image,
+)
+from koopdqn.pose import Array
+from koopdqn.tasks.path import arc_lengths
+from koopdqn.tasks.task import Task
+
+WIDTH, HEIGHT = 1560, 1080
+_MEANT_WIDTH = 1.4
+_SPEED_WINDOW_S = 0.1
+
+
+def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, image: Image | None) -> None:
+    """Draw demonstrations into a PNG.
+
+    Args:
+        path: the file.
+        demonstrations: what was shown.
+        task: gives the path without variation, the start region and the goal.
+        image: the scene with the paths in it, in the colours of :func:`koopdqn.plots.style.series_colours`; None
+            leaves its panel out.
+
+    Raises:
+        BadInputError: the file cannot be written.
+    """
+    count = len(demonstrations)
+    title = f"{count} demonstration{'s' if count != 1 else ''} of task {task.name} with {demonstrations.arm}"
+    with picture(path, title, WIDTH, HEIGHT) as figure:
+        left, right = figure.add_gridspec(1, 2, width_ratios=(1.45, 1))
+        if image is None:
+            top, side = left.subgridspec(2, 1)
+        else:
+            above, below = left.subgridspec(2, 1, height_ratios=(1.55, 1))
+            top, side = below.subgridspec(1, 2)
+            show_image(figure.add_subplot(above), image, "Arm at the goal, at the start as a ghost; demonstrated paths")
+        axes = [figure.add_subplot(cell) for cell in (top, side)]
+        for plane, each in zip(PLANES, axes, strict=True):
+            _projection(each, plane, demonstrations, task)
+        axes[0].set_title("From above")
+        axes[1].set_title("From the side")
+        _components(figure, right.subgridspec(4, 1).subplots(sharex=True), demonstrations, task)
+
+
+def _projection(axes: Axes, plane: str, demonstrations: Demonstrations, task: Task) -> None:
+    paths = [item.poses[:, pose.POSITION] for item in demonstrations.items]
+    for path, colour in zip(paths, series_colours(len(paths)), strict=True):
+        axes.plot(*project(path, plane), color=colour)
+    axes.plot(*project(task.nominal_path.points, plane), color=MEANT, linestyle=":", linewidth=_MEANT_WIDTH)
+    frame_projection(axes, plane, task, [*paths, task.nominal_path.points])
+    axes.legend(loc="best")
+
+
+def _components(figure: Figure, axes: np.ndarray, demonstrations: Demonstrations, task: Task) -> None:
+    """Draw x, y, z and speed, or the turn left to the goal where orientation is learned, over the path's share."""
+    items = demonstrations.items
+    colours = series_colours(len(items))
+    learned = task.orientation == "learned"
+    for index, (item, colour) in enumerate(zip(items, colours, strict=True)):
+        share = _share(item.poses[:, pose.POSITION])
+        for i in range(3):
+            label = f"demonstration {index}" if len(set(colours)) > 1 else "demonstrations" if not index else None
+            axes[i].plot(share, item.poses[:, i], color=colour, label=label)
+        if learned:
+            axes[3].plot(share, np.degrees(pose.rotation_distance(item.poses, task.goal)), color=colour)
+        else:
+            axes[3].plot(share, _speed(item), color=colour)
+    meant = task.nominal_path.points
+    for i in range(3):
+        axes[i].plot(
+            _share(meant), meant[:, i], color=MEANT, linestyle=":", linewidth=_MEANT_WIDTH, label="without variation"
+        )
+        axes[i].set_ylabel(f"{'xyz'[i]} [m]")
+    axes[0].set_title("Flange along the path")
+    axes[3].set_ylabel("turn left to goal [°]" if learned else "speed [m/s]")
+    axes[3].set_ylim(bottom=0.0)
+    axes[3].set_xlabel("share of the path travelled [%]")
+    axes[3].set_xlim(0, 100)
+    figure.align_ylabels(axes.tolist())
+    handles, labels = axes[0].get_legend_handles_labels()
+    axes[0].legend(handles, labels, loc="best", ncols=2)
+
+
+def _share(positions: Array) -> Array:
+    """Return the share [%] of the path travelled at each position (N, 3)."""
+    arc = arc_lengths(positions)
+    return 100.0 * arc / max(float(arc[-1]), 1e-12)
+
+
+def _speed(item: Demonstration) -> Array:
+    """Return the flange's speed (N,) [m/s], each the mean over a moment that outlasts the noise of samples."""
+    arc = arc_lengths(item.poses[:, pose.POSITION])
+    before = np.clip(item.times - _SPEED_WINDOW_S / 2, item.times[0], item.times[-1])
+    after = np.clip(item.times + _SPEED_WINDOW_S / 2, item.times[0], item.times[-1])
+    moved = np.interp(after, item.times, arc) - np.interp(before, item.times, arc)
+    return np.asarray(moved / (after - before))

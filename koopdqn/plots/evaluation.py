@@ -1,0 +1,175 @@
+"""The picture of ``koopdqn eval``: the learned paths beside the demonstrator's, and the policy beside the baselines."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import PercentFormatter
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.evaluation.deviation import SAMPLES, deviations
+from koopdqn.plots.style import (
+    DEMONSTRATED,
+    GREY,
+    INK,
+    LEARNED,
+    MEANT,
+    PLANES,
+    RED,
+    Image,
+    frame_projection,
+    picture,
+    project,
+    show_image,
+)
+from koopdqn.pose import Array
+from koopdqn.rollout import SUCCESS, Episode
+from koopdqn.tasks.task import Task
+
+WIDTH, HEIGHT = 1560, 1080
+_MM = 1e3
+_SHOWN = 20
+"""Paths drawn in a projection; more hide each other."""
+_POLICY = "policy"
+
+
+def plot_evaluation(
+    path: Path,
+    report: Mapping[str, Any],
+    episodes: Sequence[Episode],
+    references: Sequence[Array],
+    demonstrations: Demonstrations,
+    task: Task,
+    image: Image | None,
+) -> None:
+    """Draw an evaluation into a PNG.
+
+    Args:
+        path: the file.
+        report: the content of ``eval.json``.
+        episodes: the policy's.
+        references: the demonstrator's own path (T, 7) from each episode's start.
+        demonstrations: what the policy was taught from.
+        task: gives the start region and the goal.
+        image: the scene with learned paths in it; None leaves its panel out.
+
+    Raises:
+        BadInputError: the file cannot be written.
+    """
+    low, high = report["success_interval_95"]
+    title = (
+        f"Task {task.name}: {report['success_rate']:.0%} of {len(episodes)} held-out starts succeed"
+        f" (95 % interval {low:.0%} to {high:.0%})"
+    )
+    with picture(path, title, WIDTH, HEIGHT) as figure:
+        upper, lower = figure.add_gridspec(2, 1, height_ratios=(1.25, 1))
+        left, right = upper.subgridspec(1, 2, width_ratios=(1, 1.1))
+        curves, bars = right.subgridspec(2, 1)
+        if image is None:
+            views = [figure.add_subplot(left), *lower.subgridspec(1, 1).subplots().ravel()]
+        else:
+            show_image(figure.add_subplot(left), image, "Arm at the goal, at the start as a ghost; learned paths")
+            views = list(lower.subgridspec(1, 2).subplots().ravel())
+        _deviation(figure.add_subplot(curves), episodes, references)
+        for axes, (plane, view) in zip(views, (("top", "above"), ("side", "the side")), strict=True):
+            _projection(axes, plane, episodes, references, demonstrations, task)
+            axes.set_title(f"Learned and demonstrated paths, from {view}")
+        success, distance = bars.subgridspec(1, 2).subplots(sharey=True)
+        _comparison(success, distance, report)
+
+
+def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Array]) -> None:
+    """Draw the distance from the demonstrator's own path over the path's share: median and spread over episodes."""
+    moved = [(e.poses, r) for e, r in zip(episodes, references, strict=True) if e.steps]
+    axes.set_xlabel("share of the path travelled [%]")
+    axes.set_ylabel("deviation [mm]")
+    axes.set_title("Deviation from the demonstrator's own path, same start")
+    axes.set_xlim(0, 100)
+    if not moved:
+        axes.text(0.5, 0.5, "no episode made a step", transform=axes.transAxes, ha="center", va="center", color=RED)
+        return
+    apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
+    share = np.linspace(0, 100, SAMPLES)
+    for values, colour, name in ((apart.matched, LEARNED, "matched by arc length"), (apart.lateral, RED, "sideways")):
+        low, median, high = np.percentile(values * _MM, [5, 50, 95], axis=0)
+        axes.fill_between(share, low, high, color=colour, alpha=0.16, lw=0, label=f"{name}, 5–95 %")
+        axes.plot(share, median, color=colour, label=f"{name}, median")
+    axes.set_ylim(bottom=0)
+    axes.margins(y=0.25)
+    axes.legend(loc="best", ncols=2)
+
+
+def _projection(
+    axes: Axes,
+    plane: str,
+    episodes: Sequence[Episode],
+    references: Sequence[Array],
+    demonstrations: Demonstrations,
+    task: Task,
+) -> None:
+    demonstrated = [item.poses[:, pose.POSITION] for item in demonstrations.items]
+    learned = [episode.poses[:, pose.POSITION] for episode in episodes[:_SHOWN]]
+    meant = [reference[:, pose.POSITION] for reference in references[:_SHOWN]]
+    styles = (
+        (meant, MEANT, ":", 1.0, "demonstrator, same starts", 2.2),
+        (learned, LEARNED, "-", 1.1, "learned", 2.1),
+        (demonstrated, DEMONSTRATED, "-", 1.3, "demonstrations", 2.0),
+    )
+    for paths, colour, style, width, label, order in styles:
+        for index, path in enumerate(paths):
+            shown = f"{label} ({len(paths)})" if not index else None
+            axes.plot(
+                *project(path, plane), color=colour, linestyle=style, linewidth=width, label=shown, zorder=order
+            )
+    ends = [e.poses[-1:, pose.POSITION] for e in episodes[:_SHOWN] if e.outcome != SUCCESS]
+    if ends:
+        axes.plot(
+            *project(np.concatenate(ends), plane), linestyle="", marker="x", color=RED, label="failed here", zorder=5
+        )
+    frame_projection(axes, plane, task, [*demonstrated, *learned])
+    axes.legend(loc="best")
+
+
+def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> None:
+    """Draw success and deviation of the policy and of each baseline as bars."""
+    methods: dict[str, Mapping[str, Any]] = {_POLICY: report, **(report["baselines"] or {})}
+    rows = np.arange(len(methods))
+    colours = [LEARNED if name == _POLICY else GREY for name in methods]
+    rates = np.array([method["success_rate"] for method in methods.values()], dtype=float)
+    intervals = np.array([method["success_interval_95"] for method in methods.values()], dtype=float)
+    success.barh(rows, rates, color=colours, height=0.62)
+    whiskers = np.clip([rates - intervals[:, 0], intervals[:, 1] - rates], 0.0, None)
+    success.errorbar(rates, rows, xerr=whiskers, fmt="none", ecolor=INK, elinewidth=1.2, capsize=3)
+    for row, (rate, top) in enumerate(zip(rates, intervals[:, 1], strict=True)):
+        _value(success, max(rate, top), row, f"{rate:.0%}")
+    success.set_xlim(0, 1.3)
+    success.set_xticks([0, 0.5, 1.0])
+    success.xaxis.set_major_formatter(PercentFormatter(1.0))
+    success.set_xlabel("success rate, 95 % interval")
+    success.set_yticks(rows, [name.replace("_", " ") for name in methods])
+    success.invert_yaxis()
+    success.set_title("Policy and baselines")
+    found = [method["path_deviation_mm"] for method in methods.values()]
+    longest = 1e-6
+    for row, (deviation, colour) in enumerate(zip(found, colours, strict=True)):
+        mean, worst = deviation["mean"], deviation["p95_of_max"]
+        if mean is None:
+            _value(distance, 0.0, row, "nothing measured")
+            continue
+        reach = max(mean, worst or 0.0)
+        longest = max(longest, reach)
+        distance.barh(row, mean, color=colour, height=0.62)
+        if worst is not None:
+            distance.plot(worst, row, marker="|", markersize=12, markeredgewidth=2, color=INK)
+        _value(distance, reach, row, f"{mean:.1f}")
+    distance.set_xlim(0, 1.35 * longest)
+    distance.set_xlabel("path deviation [mm]: bar mean, mark 95 % of maxima")
+    for axes in (success, distance):
+        axes.grid(False, axis="y")
+
+
+def _value(axes: Axes, place: float, row: int, text: str) -> None:
+    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=9, color=INK)

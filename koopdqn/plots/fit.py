@@ -1,0 +1,230 @@
+"""The picture of ``koopdqn fit``: how well the intent model predicts, where it is trusted, and its eigenvalues."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.intent.fitting import Fitted, agent_steps
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.plots.style import (
+    ASK,
+    BLUE,
+    DEMONSTRATED,
+    GREY,
+    INK,
+    ORANGE,
+    PALE,
+    PLANES,
+    RED,
+    SKY,
+    TRUST,
+    frame_projection,
+    picture,
+    project,
+)
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+WIDTH, HEIGHT = 1560, 1060
+_MM = 1e3
+
+
+def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: Task) -> None:
+    """Draw a fitted intent into a PNG.
+
+    Args:
+        path: the file.
+        fitted: the intent with its report.
+        demonstrations: what it was fitted to.
+        task: gives step, tolerances, start region and goal.
+
+    Raises:
+        BadInputError: the file cannot be written.
+    """
+    report = fitted.report
+    rms = report["one_step_error_m"]["rms"] * _MM
+    title = f"Human intent of task {task.name} ({report['intent']}): held-out one-step error {rms:.2f} mm RMS"
+    turns = report["one_step_error_rad"] is not None
+    if turns:
+        title += f", {np.degrees(report['one_step_error_rad']['rms']):.2f}°"
+    trajectories = agent_steps(demonstrations, task)
+    with picture(path, title, WIDTH, HEIGHT) as figure:
+        grid = figure.add_gridspec(2, 6, height_ratios=(1, 1.15))
+        cells = grid[0, :4].subgridspec(2 if turns else 1, 1)
+        upper = figure.add_subplot(cells[0])
+        _position_errors(upper, fitted, task)
+        if turns:
+            _rotation_errors(figure.add_subplot(cells[1], sharex=upper), fitted, task)
+            upper.tick_params(labelbottom=False)
+            upper.set_xlabel("")
+        _eigenvalues(figure.add_subplot(grid[0, 4:]), fitted)
+        rollouts = _roll_outs(fitted, trajectories, task)
+        for place, plane, view in ((grid[1, :2], "top", "above"), (grid[1, 2:4], "side", "the side")):
+            axes = figure.add_subplot(place)
+            corners = _tube(axes, fitted.trust, plane)
+            _paths(axes, plane, trajectories, rollouts, corners, task)
+            axes.set_title(f"Rolled out from each start, from {view}")
+            if plane == "top":
+                _tube_legend(axes, fitted.trust)
+        bars = grid[1, 4:].subgridspec(2 if turns else 1, 1)
+        first = figure.add_subplot(bars[0])
+        _components(first, report["one_step_error_m"], _MM, "one-step error [mm]")
+        first.set_title("Held-out error by component")
+        if turns:
+            _components(figure.add_subplot(bars[1]), report["one_step_error_rad"], float(np.degrees(1)), "error [°]")
+
+
+def _position_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
+    settings = fitted.trust.settings
+    lines = [
+        (task.position_tolerance_m * _MM, INK, "--", "compare tolerance"),
+        (settings.error_limit_m * _MM, RED, "-", "trust limit"),
+    ]
+    paper = fitted.report["sixty_samples"]["paper_max_m"]
+    if paper is not None:
+        lines.append((paper * _MM, GREY, ":", "largest in the paper"))
+    _errors(axes, fitted, fitted.report["one_step_error_per_step_m"], _MM, lines, "mm")
+    axes.set_ylabel("one-step error [mm]")
+    axes.set_title("Held-out one-step error: each demonstration predicted by the others")
+
+
+def _rotation_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
+    degree = float(np.degrees(1.0))
+    lines = [
+        (task.rotation_tolerance_rad * degree, INK, "--", "compare tolerance"),
+        (fitted.trust.settings.error_limit_rad * degree, RED, "-", "trust limit"),
+    ]
+    _errors(axes, fitted, fitted.report["one_step_error_per_step_rad"], degree, lines, "°")
+    axes.set_ylabel("one-step error [°]")
+
+
+def _errors(
+    axes: Axes,
+    fitted: Fitted,
+    per_step: dict[str, list[float]],
+    scale: float,
+    lines: Sequence[tuple[float, str, str, str]],
+    unit: str,
+) -> None:
+    """Draw mean and largest error per step, with horizontal lines (value, colour, style, meaning)."""
+    mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
+    highest = max(line[0] for line in lines)
+    _shade(axes, ~fitted.trust.known)
+    axes.plot(mean, color=BLUE, label="mean over demonstrations")
+    axes.plot(largest, color=SKY, linewidth=1.0, label="largest")
+    for value, colour, style, meaning in lines:
+        axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
+    axes.set_xlim(0, max(len(mean), len(fitted.trust.mean)) - 1)
+    # Room above for the legend; an error far over all limits is cut off rather than flattening the rest.
+    axes.set_ylim(0, 1.45 * min(max(float(largest.max()), highest), 4 * highest))
+    axes.set_xlabel("step of the demonstration")
+    axes.legend(loc="upper center", ncols=3)
+
+
+def _shade(axes: Axes, asked: np.ndarray) -> None:
+    """Shade the steps at which the model's error is over the limit."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], asked, [False]]).astype(int)))
+    for index, (start, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
+        axes.axvspan(start - 0.5, end - 0.5, color=ASK, lw=0, label=None if index else "the expert is asked", zorder=0)
+
+
+def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
+    matrices = [("K", fitted.model.position.matrix, BLUE)]
+    if fitted.model.rotation is not None:
+        matrices = [("K_p", matrices[0][1], BLUE), ("K_o", fitted.model.rotation.koopman.matrix, ORANGE)]
+    angle = np.linspace(0, 2 * np.pi, 361)
+    axes.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=1.0, label="unit circle")
+    reach = 1.0
+    radii = []
+    for name, matrix, colour in matrices:
+        values = np.linalg.eigvals(matrix)
+        reach = max(reach, float(np.abs(values).max()))
+        radii.append(f"{name} {np.abs(values).max():.4f}")
+        outside = np.abs(values) > 1.0 + 1e-9
+        for chosen, marker, label in ((~outside, "o", ""), (outside, "X", ", outside")):
+            if chosen.any():
+                axes.plot(
+                    values[chosen].real,
+                    values[chosen].imag,
+                    linestyle="",
+                    marker=marker,
+                    markersize=6,
+                    color=colour if marker == "o" else RED,
+                    markeredgecolor="white",
+                    markeredgewidth=0.5,
+                    label=f"of {name}{label}: {int(chosen.sum())}",
+                )
+    axes.set_xlim(-1.15 * reach, 1.15 * reach, auto=True)
+    axes.set_ylim(-1.15 * reach, 1.15 * reach, auto=True)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("real part")
+    axes.set_ylabel("imaginary part")
+    axes.set_title(f"Eigenvalues; spectral radius of {', '.join(radii)}")
+    axes.legend(loc="center left", bbox_to_anchor=(0.22, 0.5))
+
+
+def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Array]:
+    """Return the positions (T, 3) of the intent followed from each demonstration's start, until it rests."""
+    starts = np.array([trajectory[0] for trajectory in trajectories])
+    steps = 2 * max(len(trajectory) for trajectory in trajectories)
+    poses = fitted.model.roll_out(starts, steps, task.step_m)[..., pose.POSITION]
+    return [poses[:, i] for i in range(len(trajectories))]
+
+
+def _tube(axes: Axes, trust: TrustDomain, plane: str) -> Array:
+    """Draw the trust domain, at every step a box, in another colour where the model errs; return its corners (M, 3)."""
+    i, j = PLANES[plane]
+    width = (trust.settings.sigmas * trust.deviation)[:, :3]
+    low, high = trust.mean[:, :3] - width, trust.mean[:, :3] + width
+    for chosen, colour, order in ((~trust.known, ASK, 1.0), (trust.known, TRUST, 1.1)):
+        boxes = [
+            [(a[i], a[j]), (b[i], a[j]), (b[i], b[j]), (a[i], b[j])]
+            for a, b in zip(low[chosen], high[chosen], strict=True)
+        ]
+        axes.add_collection(PolyCollection(boxes, facecolors=colour, edgecolors="none", zorder=order), autolim=False)
+    return np.concatenate([low, high])
+
+
+def _paths(
+    axes: Axes, plane: str, trajectories: list[Array], rollouts: list[Array], corners: Array, task: Task
+) -> None:
+    demonstrated = [trajectory[:, pose.POSITION] for trajectory in trajectories]
+    for path in demonstrated:
+        axes.plot(*project(path, plane), color=DEMONSTRATED, linewidth=1.2, zorder=2)
+    for path in rollouts:
+        axes.plot(*project(path, plane), color=BLUE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
+    frame_projection(axes, plane, task, [*demonstrated, corners])
+
+
+def _tube_legend(axes: Axes, trust: TrustDomain) -> None:
+    handles: list[Patch | Line2D] = [
+        Line2D([], [], color=DEMONSTRATED, label="demonstration"),
+        Line2D([], [], color=BLUE, linestyle=(0, (4, 2)), label="intent, rolled out"),
+        Patch(color=TRUST, label=f"trusted: mean ± {trust.settings.sigmas:g} σ"),
+    ]
+    if not trust.known.all():
+        handles.append(Patch(color=ASK, label="error over the limit: ask"))
+    existing, _ = axes.get_legend_handles_labels()
+    axes.legend(handles=[*handles, *existing], loc="best")
+
+
+def _components(axes: Axes, error: dict[str, dict[str, float]], scale: float, label: str) -> None:
+    names = list(error["rms_per_component"])
+    rms, largest = (np.array([error[f"{k}_per_component"][n] for n in names]) * scale for k in ("rms", "max"))
+    place = np.arange(len(names))
+    axes.bar(place - 0.2, rms, 0.38, color=BLUE, label="RMS")
+    axes.bar(place + 0.2, largest, 0.38, color=PALE, label="largest")
+    for x, value in (*zip(place - 0.2, rms, strict=True), *zip(place + 0.2, largest, strict=True)):
+        axes.annotate(f"{value:.2f}", (x, value), (0, 2), textcoords="offset points", ha="center", fontsize=9, color=INK)
+    axes.set_xticks(place, names)
+    axes.set_ylim(0, 1.3 * max(float(largest.max()), 1e-6))
+    axes.grid(False, axis="x")
+    axes.set_ylabel(label)
+    axes.legend(loc="upper right", ncols=2)

@@ -1,0 +1,178 @@
+"""The look of every picture: colours, type, and how a figure becomes the same PNG bytes each time."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from koopdqn import pose
+from koopdqn.files import atomic_path
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+Image = NDArray[np.uint8]
+
+DPI: Final = 120
+
+# Okabe & Ito's palette, which colour-blind readers can tell apart.
+BLUE: Final = "#0072B2"
+ORANGE: Final = "#E69F00"
+GREEN: Final = "#009E73"
+RED: Final = "#D55E00"
+PINK: Final = "#CC79A7"
+SKY: Final = "#56B4E9"
+INK: Final = "#222222"
+GREY: Final = "#8A8F98"
+PALE: Final = "#D5D9DF"
+
+SERIES: Final = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
+"""Colours of things shown one by one, such as demonstrations; more than these share :data:`GREY`."""
+LEARNED: Final = BLUE
+DEMONSTRATED: Final = ORANGE
+MEANT: Final = INK
+TRUST: Final = "#CDEBDF"
+ASK: Final = "#F7D9C4"
+
+_STYLE: Final[dict[str, object]] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titlelocation": "left",
+    "axes.titleweight": "bold",
+    "axes.labelsize": 10,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E7E9ED",
+    "grid.linewidth": 0.8,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "legend.frameon": True,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.5,
+    "figure.facecolor": "white",
+    "figure.titlesize": 14,
+    "figure.titleweight": "bold",
+    "figure.constrained_layout.h_pad": 0.08,
+    "figure.constrained_layout.w_pad": 0.08,
+    "savefig.dpi": DPI,
+}
+
+
+@contextmanager
+def picture(path: Path, title: str, width: int, height: int) -> Iterator[Figure]:
+    """Yield an empty figure that is written to ``path`` as a PNG, whole or not at all, when the block ends well.
+
+    The user's own matplotlib settings play no part, and no date or version is written, so that the same
+    content gives the same bytes.
+
+    Args:
+        path: the file.
+        title: above everything.
+        width: of the picture [pixels].
+        height: of the picture [pixels].
+
+    Raises:
+        BadInputError: the file cannot be written.
+    """
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.suptitle(title, x=0.01, ha="left")
+        yield figure
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format="png", metadata={"Software": None})
+
+
+def series_colours(count: int) -> list[str]:
+    """Return a colour for each of ``count`` things shown one by one."""
+    return list(SERIES[:count]) if count <= len(SERIES) else [GREY] * count
+
+
+def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]:
+    """Return a colour as red, green, blue, opacity, each 0…1, as :mod:`koopdqn.robot.camera` takes it."""
+    red, green, blue = to_rgb(colour)
+    return red, green, blue, opacity
+
+
+def show_image(axes: Axes, image: Image, title: str) -> None:
+    """Fill axes with a rendered picture (height, width, 3)."""
+    axes.imshow(image, interpolation="antialiased")
+    axes.set_title(title)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(PALE)
+
+
+PLANES: Final = {"top": (0, 1), "side": (0, 2)}
+"""The two coordinates that each projection shows: from above x and y, from the side x and z."""
+
+
+def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Array]) -> None:
+    """Set up a projection: labels, start region, goal, equal scales, limits around positions (N, 3) [m] and both.
+
+    Args:
+        axes: to draw on.
+        plane: a key of :data:`PLANES`.
+        task: gives start region and goal.
+        positions: what must be inside the limits; nothing else widens them.
+    """
+    i, j = PLANES[plane]
+    center, half = task.nominal_start[pose.POSITION], np.array(task.start_half_range_m)
+    corner = (float(center[i] - half[i]), float(center[j] - half[j]))
+    size = (float(2 * half[i]), float(2 * half[j]))
+    axes.add_patch(
+        Rectangle(
+            corner, *size, fill=False, edgecolor=GREY, linestyle="--", linewidth=1.2, label="start region", zorder=4
+        )
+    )
+    goal = task.goal[pose.POSITION]
+    axes.plot(
+        goal[i],
+        goal[j],
+        marker="*",
+        markersize=13,
+        color=INK,
+        markeredgecolor="white",
+        linestyle="",
+        label="goal",
+        zorder=6,
+    )
+    inside = np.concatenate([*positions, [center - half, center + half, goal]])[:, [i, j]]
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    margin = 0.06 * float((high - low).max())
+    # auto=True leaves matplotlib free to widen one of the two to keep the scales equal.
+    axes.set_xlim(low[0] - margin, high[0] + margin, auto=True)
+    axes.set_ylim(low[1] - margin, high[1] + margin, auto=True)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.locator_params(nbins=6)
+    axes.set_xlabel(f"{'xyz'[i]} [m]")
+    axes.set_ylabel(f"{'xyz'[j]} [m]")
+
+
+def project(positions: Array, plane: str) -> tuple[Array, Array]:
+    """Return the two coordinates (N,), (N,) [m] of positions (N, 3) that a projection shows."""
+    i, j = PLANES[plane]
+    return positions[:, i], positions[:, j]

@@ -1,0 +1,146 @@
+"""Handing a knife to a person: its edge is turned down early, before the blade comes near (§5.2 of the paper)."""
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import Field, Strict, model_validator
+
+from koopdqn import pose
+from koopdqn.config.settings import Settings, Vector3
+from koopdqn.pose import Array
+from koopdqn.tasks.demonstrator import TurnLaw
+from koopdqn.tasks.segments import segment_distance
+from koopdqn.tasks.task import TURNS_PER_STEP, Task
+
+if TYPE_CHECKING:
+    from koopdqn.robot.scene import SceneBuilder
+
+METAL = (0.35, 0.36, 0.38, 1.0)
+STEEL = (0.82, 0.84, 0.87, 1.0)
+EDGE = (0.85, 0.25, 0.15, 1.0)
+GRIP = (0.16, 0.11, 0.08, 1.0)
+CLOTH = (0.25, 0.35, 0.55, 1.0)
+SKIN = (0.85, 0.66, 0.53, 1.0)
+# Lines along the blade, from edge to spine, whose distance to the person is taken as the blade's.
+_BLADE_LINES = 5
+
+
+class Limb(Settings):
+    """A part of the person: a capsule between two points in UR Base."""
+
+    name: str
+    start: Vector3
+    end: Vector3
+    radius_m: float = Field(gt=0)
+    skin: bool
+
+
+class KnifeTask(Task):
+    """The arm brings a knife to a person, handle first, edge up at the start and down at the end.
+
+    The blade lies along the flange's z axis, held by its spine; the handle, beyond it, points at the
+    person throughout. The edge is a unit vector in the flange frame. The turn is about the blade's long axis.
+    The blade is safe while its edge is within ``safe_angle_rad`` of straight down; the rule is broken when
+    the blade is nearer to the person than ``rule_distance_m`` and not safe.
+    """
+
+    edge: Vector3 = Field(description="direction of the cutting edge, a unit vector in the flange frame")
+    blade_start_m: float = Field(gt=0, description="where the blade begins along the flange's z axis [m]")
+    blade_length_m: float = Field(gt=0)
+    blade_height_m: float = Field(gt=0, description="from spine to edge [m]")
+    handle_length_m: float = Field(gt=0)
+    safe_angle_rad: float = Field(gt=0)
+    rule_distance_m: float = Field(gt=0)
+    turn_gain: float = Field(gt=0, lt=1, description="share of a small remaining turn that one step turns")
+    turn_saturation_rad: float = Field(gt=0, description="remaining turn over which the rate would be zero again [rad]")
+    turn_slowest_rad: float = Field(gt=0, description="least turn of a step [rad]")
+    person: Annotated[tuple[Limb, ...], Strict(False), Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check_edge(self) -> "KnifeTask":
+        length = float(np.linalg.norm(self.edge))
+        if abs(length - 1.0) > 1e-3 or abs(self.edge[2]) > 1e-3:
+            raise ValueError(f"edge must be a unit vector at right angles to the flange's z axis, found {self.edge}")
+        fastest, most = self.turn_gain * self.turn_saturation_rad / 4, TURNS_PER_STEP * self.rotation_tolerance_rad
+        if fastest > most:
+            raise ValueError(
+                f"turn_gain times turn_saturation_rad / 4, the fastest turn of a step, must be at most"
+                f" {TURNS_PER_STEP:g} rotation tolerances ({most:g} rad), found {fastest:g}"
+            )
+        if self.turn_slowest_rad <= self.rotation_tolerance_rad:
+            raise ValueError(
+                f"turn_slowest_rad must be over rotation_tolerance_rad ({self.rotation_tolerance_rad:g}), or not"
+                f" turning at all would be right, found {self.turn_slowest_rad:g}"
+            )
+        return self
+
+    @property
+    def orientation(self) -> Literal["held", "learned"]:
+        """The turn is part of what is learned."""
+        return "learned"
+
+    @property
+    def turn_law(self) -> TurnLaw | None:
+        """Fast at first, slower toward the end."""
+        return TurnLaw(self.turn_gain, self.turn_saturation_rad, self.turn_slowest_rad)
+
+    @property
+    def rule(self) -> str:
+        """The blade rule."""
+        angle = np.degrees(self.safe_angle_rad)
+        return f"edge within {angle:.2g}° of straight down before the blade is within {self.rule_distance_m:g} m"
+
+    def blade_angle(self, poses: Array) -> Array:
+        """Return the angle (N,) [rad] of the edge to straight down at poses (N, 7)."""
+        edge = pose.rotate(poses[:, pose.QUATERNION], np.array(self.edge))
+        return np.asarray(np.arctan2(np.hypot(edge[:, 0], edge[:, 1]), -edge[:, 2]))
+
+    def blade_distance(self, poses: Array) -> Array:
+        """Return the distance (N,) [m] from the nearest point of the blade to the person at poses (N, 7)."""
+        heights = np.linspace(-0.5, 0.5, _BLADE_LINES) * self.blade_height_m
+        along = np.array([0.0, 0.0, 1.0])
+        nearest = np.full(len(poses), np.inf)
+        for height in heights:
+            ends = [height * np.array(self.edge) + z * along for z in self._blade_ends]
+            first, second = (pose.rotate(poses[:, pose.QUATERNION], end) + poses[:, pose.POSITION] for end in ends)
+            for limb in self.person:
+                gap = segment_distance(first, second, np.array(limb.start), np.array(limb.end)) - limb.radius_m
+                nearest = np.minimum(nearest, gap)
+        return nearest
+
+    def rule_broken(self, poses: Array) -> np.ndarray:
+        """Return whether the blade is near the person and not safe at each pose (N, 7), as booleans (N,)."""
+        unsafe = self.blade_angle(poses) > self.safe_angle_rad
+        return np.asarray(unsafe & (self.blade_distance(poses) < self.rule_distance_m))
+
+    @property
+    def _blade_ends(self) -> tuple[float, float]:
+        return self.blade_start_m, self.blade_start_m + self.blade_length_m
+
+    def furnish(self, scene: "SceneBuilder") -> None:
+        """Put a gripper with a knife on the flange, and the person where they stand."""
+        edge = np.array(self.edge)
+        side = np.cross([0.0, 0.0, 1.0], edge)
+        start, end = self._blade_ends
+        palm = start - 0.02
+        scene.tool_box("gripper_palm", (0.0, 0.0, palm / 2), (0.03, 0.03, palm / 2), METAL, mass=0.5)
+        # The fingers reach over the spine, away from the edge.
+        finger = (start + 0.04 - palm) / 2
+        spine = -0.25 * self.blade_height_m * edge
+        for name, sign in (("left", 1.0), ("right", -1.0)):
+            center = spine + sign * 0.008 * side + np.array([0.0, 0.0, palm + finger])
+            size = np.abs(0.006 * side) + np.abs(0.010 * edge) + np.array([0.0, 0.0, finger])
+            scene.tool_box(f"gripper_finger_{name}", center.tolist(), size.tolist(), METAL, mass=0.08)
+        half = self.blade_height_m / 2
+        middle = np.array([0.0, 0.0, (start + end) / 2])
+        thin = np.abs(0.0015 * side) + np.array([0.0, 0.0, self.blade_length_m / 2])
+        body = thin + np.abs(0.8 * half * edge)
+        scene.tool_box("blade", (middle - 0.2 * half * edge).tolist(), body.tolist(), STEEL, mass=0.12, payload=True)
+        rim = thin + np.abs(0.2 * half * edge)
+        scene.tool_box("edge", (middle + 0.8 * half * edge).tolist(), rim.tolist(), EDGE, mass=0.02, payload=True)
+        scene.tool_cylinder(
+            "handle", (0.0, 0.0, end), (0.0, 0.0, end + self.handle_length_m), 0.012, GRIP, mass=0.08, payload=True
+        )
+        for limb in self.person:
+            rgba = SKIN if limb.skin else CLOTH
+            scene.furniture_capsule(f"person_{limb.name}", limb.start, limb.end, limb.radius_m, rgba)

@@ -1,0 +1,96 @@
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from koopdqn import pose
+from koopdqn.pose import Array
+from koopdqn.tasks.demonstrator import Demonstrator
+from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.shelf import ShelfTask
+
+STEP, PULL_BACK = 0.002, 0.015
+UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
+
+
+def on_straight_path() -> Demonstrator:
+    path = SmoothPath.along([[0.0, 0, 0], [0.4, 0, 0]], 1e-4)
+    return Demonstrator(path, pose.make([0.4, 0, 0], UPRIGHT), STEP, PULL_BACK)
+
+
+def corners(task: ShelfTask) -> Array:
+    signs = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
+    return pose.make(
+        task.nominal_start[:3] + signs * np.array(task.start_half_range_m), task.nominal_start[pose.QUATERNION]
+    )
+
+
+@settings(max_examples=15)
+@given(st.floats(-0.005, 0.005), st.floats(-0.005, 0.005))
+def test_small_offsets_die_out_over_the_look_ahead_distance(y: float, z: float) -> None:
+    law = on_straight_path()
+    passed = law.roll_out(pose.make([0.05, y, z], UPRIGHT), 1000)
+    sideways = np.linalg.norm(passed[:, 1:3], axis=1)
+    travelled = passed[:, 0] - 0.05
+    after = int(np.searchsorted(travelled, PULL_BACK))
+    # exp(−1) in the limit of short steps; Euler's steps of s contract by (1 − s/pull_back) each, a little more.
+    assert sideways[after] <= np.exp(-0.9) * sideways[0] + 1e-12
+    assert sideways[after] >= np.exp(-1.4) * sideways[0] - 1e-12
+    assert np.all(np.diff(sideways) <= 1e-12)
+
+
+def test_every_step_is_one_step_long_until_the_goal() -> None:
+    law = on_straight_path()
+    passed = law.roll_out(pose.make([0.0, 0.03, -0.01], UPRIGHT), 1000)
+    gaps = np.linalg.norm(np.diff(passed[:, :3], axis=0), axis=1)
+    np.testing.assert_allclose(gaps[:-1], STEP, atol=1e-12)
+    assert gaps[-1] <= STEP * (1 + 1e-12)
+    np.testing.assert_allclose(passed[-1], law.goal, atol=1e-6)
+
+
+def test_the_goal_is_where_it_rests() -> None:
+    law = on_straight_path()
+    np.testing.assert_array_equal(law.next_pose(law.goal[None])[0], law.goal)
+
+
+def test_it_comes_to_the_goal_from_anywhere_in_the_start_region(shelf_task: ShelfTask) -> None:
+    law = shelf_task.demonstrator
+    path = shelf_task.nominal_path
+    starts = np.concatenate([corners(shelf_task), shelf_task.draw_starts(np.random.default_rng(0), 20)])
+    passed = [starts]
+    for _ in range(int(2 * path.length / shelf_task.step_m)):
+        passed.append(law.next_pose(passed[-1]))
+    assert pose.position_distance(passed[-1], shelf_task.goal).max() < 1e-6
+    assert pose.rotation_distance(passed[-1], shelf_task.goal).max() < 1e-6
+    # Ten look-ahead distances further on, the path is held, but for cutting its bends a little.
+    held = np.array(passed)[int(10 * shelf_task.pull_back_m / shelf_task.step_m) :].reshape(-1, 7)[:, :3]
+    assert np.linalg.norm(held - path.at(path.nearest(held)), axis=1).max() < 0.002
+
+
+def test_it_is_a_function_of_the_pose_alone(shelf_task: ShelfTask) -> None:
+    law = shelf_task.demonstrator
+    poses = shelf_task.draw_starts(np.random.default_rng(1), 50)
+    together = law.next_pose(poses)
+    law.roll_out(poses[3], 20)
+    backward = law.next_pose(poses[::-1])[::-1]
+    np.testing.assert_allclose(backward, together, atol=1e-12)
+    for point, reached in zip(poses[:10], together, strict=False):
+        np.testing.assert_allclose(law.next_pose(point[None])[0], reached, atol=1e-12)
+
+
+def test_held_orientation_is_the_goals(shelf_task: ShelfTask) -> None:
+    tilted = shelf_task.nominal_start.copy()
+    tilted[3:] = pose.multiply(pose.from_rotation_vector([0.1, 0, 0]), tilted[3:])
+    reached = shelf_task.demonstrator.next_pose(tilted[None])
+    assert pose.rotation_distance(reached, shelf_task.goal)[0] < 1e-12
+
+
+def test_finer_steps_follow_the_same_way() -> None:
+    law = on_straight_path()
+    start = pose.make([0.0, 0.01, 0.0], UPRIGHT)
+    coarse, fine = law.roll_out(start, 1000), law.finer(4).roll_out(start, 4000)
+    assert np.linalg.norm(np.diff(fine[:, :3], axis=0), axis=1)[:-1] == pytest.approx(STEP / 4)
+    gap = np.linalg.norm(coarse[:, None, :3] - fine[None, :, :3], axis=2).min(axis=1)
+    assert gap.max() < STEP

@@ -1,0 +1,103 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from koopdqn.pose import Array
+from koopdqn.tasks.path import SmoothPath, arc_lengths, at_arc_lengths
+
+numbers = st.floats(-0.4, 0.4, allow_nan=False)
+points = st.tuples(numbers, numbers, numbers)
+
+
+def apart(waypoints: list[tuple[float, float, float]]) -> bool:
+    return bool(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).min() > 0.05)
+
+
+waypoint_lists = st.lists(points, min_size=3, max_size=6).filter(apart)
+
+
+def straight(length: float = 0.3) -> SmoothPath:
+    return SmoothPath.along([[0.1, 0.0, 0.0], [0.1 + length, 0.0, 0.0]])
+
+
+@given(waypoint_lists)
+def test_a_path_passes_its_waypoints_from_first_to_last(waypoints: list[tuple[float, float, float]]) -> None:
+    path = SmoothPath.through(waypoints)
+    np.testing.assert_allclose(path.points[[0, -1]], [waypoints[0], waypoints[-1]], atol=1e-12)
+    for waypoint in waypoints:
+        assert np.linalg.norm(path.points - waypoint, axis=1).min() < path.spacing
+
+
+@settings(max_examples=25)
+@given(waypoint_lists, st.floats(5e-4, 5e-3))
+def test_points_are_evenly_spaced_along_the_curve(
+    waypoints: list[tuple[float, float, float]], spacing: float
+) -> None:
+    path = SmoothPath.through(waypoints, spacing)
+    gaps = np.linalg.norm(np.diff(path.points, axis=0), axis=1)
+    # A chord is never longer than its arc, and hardly shorter where the curve is smooth at this scale.
+    assert gaps.max() <= path.spacing * (1 + 1e-9)
+    assert np.median(gaps) == pytest.approx(path.spacing, rel=1e-2)
+    assert path.spacing <= spacing
+    # The finely sampled spline cuts a turning point by less than its sampling.
+    assert path.length >= np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum() - 1e-5
+
+
+@settings(max_examples=25)
+@given(waypoint_lists, st.floats(0, 1))
+def test_the_point_nearest_to_a_point_of_the_path_is_itself(
+    waypoints: list[tuple[float, float, float]], share: float
+) -> None:
+    path = SmoothPath.through(waypoints)
+    on_path = path.at([share * path.length])
+    np.testing.assert_allclose(path.at(path.nearest(on_path)), on_path, atol=1e-6)
+
+
+@settings(max_examples=25)
+@given(waypoint_lists, st.lists(points, min_size=1, max_size=5))
+def test_no_point_of_the_path_is_nearer_than_the_nearest(
+    waypoints: list[tuple[float, float, float]], positions: list[tuple[float, float, float]]
+) -> None:
+    path = SmoothPath.through(waypoints, 2e-3)
+    found = np.linalg.norm(path.at(path.nearest(positions)) - positions, axis=1)
+    best = np.linalg.norm(np.array(positions)[:, None] - path.points, axis=2).min(axis=1)
+    np.testing.assert_allclose(found, best, atol=1e-7)
+
+
+def test_positions_beyond_the_ends_are_the_ends() -> None:
+    path = straight()
+    np.testing.assert_array_equal(path.at([-1.0, 5.0]), path.points[[0, -1]])
+    np.testing.assert_allclose(path.nearest([[-9.0, 0, 0], [9.0, 0, 0]]), [0.0, path.length], atol=1e-12)
+
+
+def test_arc_length_is_measured_along_the_path() -> None:
+    path = straight()
+    assert path.length == pytest.approx(0.3)
+    np.testing.assert_allclose(path.at([0.12]), [[0.22, 0, 0]], atol=path.spacing / 2)
+    np.testing.assert_allclose(path.nearest([[0.22, 0.05, -0.02]]), [0.12], atol=path.spacing / 2)
+
+
+def test_a_displaced_path_is_moved_point_by_point_on_the_same_scale() -> None:
+    path = straight()
+    offsets = np.zeros_like(path.points)
+    offsets[:, 2] = np.sin(np.linspace(0, np.pi, len(path.points))) * 0.01
+    moved = path.displaced(offsets)
+    np.testing.assert_array_equal(moved.points, path.points + offsets)
+    assert (moved.length, moved.spacing) == (path.length, path.spacing)
+    np.testing.assert_allclose(moved.at([0.15]) - path.at([0.15]), [[0, 0, 0.01]], atol=1e-4)
+
+
+def test_arc_lengths_of_a_known_polyline() -> None:
+    corners: Array = np.array([[0.0, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0], [0.3, 0.4, 2.0]])
+    np.testing.assert_allclose(arc_lengths(corners), [0, 0.5, 0.5, 2.5])
+
+
+@given(st.lists(st.floats(0.01, 1), min_size=2, max_size=8), st.lists(st.floats(0, 1), min_size=1, max_size=5))
+def test_interpolation_along_the_arc_is_linear(gaps: list[float], shares: list[float]) -> None:
+    arc = np.concatenate([[0.0], np.cumsum(gaps)])
+    values = np.stack([2 * arc + 1, -arc], axis=1)
+    wanted = np.array(shares) * arc[-1]
+    np.testing.assert_allclose(
+        at_arc_lengths(values, arc, wanted), np.stack([2 * wanted + 1, -wanted], axis=1), atol=1e-9
+    )

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from parts import with_fields
+
+from koopdqn import pose
+from koopdqn.environment.reachability import COLLISION, UNREACHABLE, VELOCITY, Reachability
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.workcell import Workcell
+
+
+def entered(workcell: Workcell, at: Array) -> Array:
+    joints = workcell.reachability.enter(at).joints
+    assert joints is not None
+    return joints
+
+
+def test_a_motion_ends_where_it_should(workcell: Workcell) -> None:
+    start = workcell.task.nominal_start
+    wished = start.copy()
+    wished[0] -= workcell.task.step_m
+    motion = workcell.reachability.move(wished, entered(workcell, start))
+    assert motion.joints is not None
+    assert (motion.reason, motion.detail) == ("", "")
+    assert pose.position_distance(workcell.arm.forward(motion.joints), wished) < 1e-9
+
+
+def test_what_cannot_be_done_is_refused_with_its_reason(workcell: Workcell) -> None:
+    task, start = workcell.task, workcell.task.nominal_start
+    joints = entered(workcell, start)
+    far, behind, wall = (pose.make(p, start[3:]) for p in ([3.0, 0, 0.4], [0.42, -0.1, 0.47], [0.56, -0.03, 0.47]))
+    assert workcell.reachability.move(far, joints).reason == UNREACHABLE
+    jump = workcell.reachability.move(behind, joints)
+    assert jump.reason == VELOCITY
+    assert "would move" in jump.detail
+    beside = workcell.arm.inverse(wall, joints)
+    assert beside.success
+    hit = workcell.reachability.move(wall, beside.joints)
+    assert hit.reason == COLLISION
+    assert "shelf_right" in hit.detail
+    assert workcell.reachability.enter(far).reason == UNREACHABLE
+    assert workcell.reachability.enter(wall).reason == COLLISION
+    assert task.nominal_start is start
+
+
+def test_the_velocity_limit_scales_with_the_time_of_a_step(workcell: Workcell) -> None:
+    start = workcell.task.nominal_start
+    wished = start.copy()
+    wished[1] += 0.02
+    joints = entered(workcell, start)
+    moved = workcell.reachability.move(wished, joints).joints
+    assert moved is not None
+    needed = float(np.abs(moved - joints).max() / min(workcell.arm.velocity_limits))
+    for seconds, fits in ((needed * 1.001, True), (needed * 0.999, False)):
+        slower = Reachability(workcell.arm, workcell.scene, seconds)
+        assert (slower.move(wished, joints).reason == "") == fits
+
+
+def test_entering_takes_the_free_solution_nearest_home(workcell: Workcell) -> None:
+    start, home = workcell.task.nominal_start, np.array(workcell.arm.home)
+    chosen = entered(workcell, start)
+    free = [q for q in workcell.arm.solutions(start, home) if not workcell.scene.contact(q)]
+    assert len(free) > 1
+    assert np.abs(chosen - home).max() == min(np.abs(q - home).max() for q in free)
+
+
+def test_following_is_entering_and_moving(workcell: Workcell) -> None:
+    path = workcell.task.demonstrator.roll_out(workcell.task.nominal_start, 10)
+    joints, reason = workcell.reachability.follow(path)
+    assert reason == ""
+    assert joints is not None
+    np.testing.assert_allclose(workcell.reachability.flange_poses(joints)[:, :3], path[:, :3], atol=1e-9)
+    np.testing.assert_array_equal(joints[0], entered(workcell, path[0]))
+    path[5, 0] += 2.0
+    assert workcell.reachability.follow(path) == (None, UNREACHABLE)
+
+
+def test_starts_are_free_and_refused_ones_are_drawn_again_and_counted(workcell: Workcell) -> None:
+    # The region reaches into the side wall from here.
+    near_wall = with_fields(workcell.task, waypoints=[[0.53, -0.12, 0.42], [0.59, 0.1, 0.47]])
+    starts, joints, refused = workcell.reachability.draw_starts(near_wall, np.random.default_rng(0), 30)
+    assert starts.shape == (30, 7)
+    assert refused > 0
+    assert all(workcell.scene.contact(row) == "" for row in joints)
+    assert pose.position_distance(workcell.arm.forward(joints), starts).max() < 1e-9
+
+
+def test_a_start_region_out_of_reach_is_refused(workcell: Workcell) -> None:
+    away = with_fields(workcell.task, waypoints=[[3.0, 0.0, 0.4], [0.59, 0.1, 0.47]])
+    with pytest.raises(BadInputError, match=r"starts of the start region.*found 51 refused of 51"):
+        workcell.reachability.draw_starts(away, np.random.default_rng(0), 1)

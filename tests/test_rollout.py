@@ -1,0 +1,115 @@
+"""Rolling a controller out, and following a path: how episodes end and what they hold."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from helpers_shelf import held_out, shelf, taught
+
+from koopdqn import pose
+from koopdqn.environment.actions import ACTIONS, reached_poses
+from koopdqn.environment.reachability import COLLISION, UNREACHABLE, VELOCITY
+from koopdqn.evaluation.baselines import Greedy, straight_path
+from koopdqn.pose import Array
+from koopdqn.rollout import FAILURES, RULE_BROKEN, STEP_LIMIT, STUCK, SUCCESS, Episode, follow, roll_out
+
+TURN_TO_GOAL = ACTIONS.index("moves only in rotation toward the goal")
+TO_GOAL = ACTIONS.index("moves only in position toward the goal")
+
+
+def always(action: int) -> Callable[[Array], np.ndarray]:
+    return lambda poses: np.full(len(poses), action)
+
+
+def rolled(controller: Callable[[Array], np.ndarray], count: int = 2, limit: int = 700) -> list[Episode]:
+    cell = shelf()
+    starts, joints = held_out(count)
+    return roll_out(controller, cell.task, cell.reachability, starts, joints, limit)
+
+
+def greedy() -> Greedy:
+    return Greedy(taught().model, shelf().task)
+
+
+def test_every_step_is_the_chosen_action_and_the_joints_reach_it() -> None:
+    cell = shelf()
+    for episode in rolled(greedy()):
+        actions = greedy()(episode.poses[:-1])
+        chosen = reached_poses(episode.poses[:-1], cell.task)[np.arange(episode.steps), actions]
+        assert np.array_equal(chosen, episode.poses[1:])
+        assert pose.position_distance(cell.arm.forward(episode.joints), episode.poses).max() < 1e-9
+        assert len(episode.joints) == len(episode.poses) == episode.steps + 1
+
+
+def test_success_is_the_first_pose_at_the_goal_and_the_episode_ends_there() -> None:
+    task = shelf().task
+    for episode in rolled(greedy()):
+        assert episode.outcome == SUCCESS
+        assert task.reached(episode.poses).tolist() == [False] * episode.steps + [True]
+
+
+def test_an_action_that_changes_nothing_is_stuck() -> None:
+    # Orientation is the goal's already, so turning to it moves nothing.
+    for episode in rolled(always(TURN_TO_GOAL)):
+        assert (episode.outcome, episode.steps) == (STUCK, 1)
+
+
+def test_a_collision_ends_the_episode_before_it_happens_and_says_what_touched() -> None:
+    for episode in rolled(always(TO_GOAL)):
+        assert episode.outcome == COLLISION
+        assert "shelf" in episode.detail
+        assert not any(shelf().scene.contact(row) for row in episode.joints)
+
+
+@pytest.mark.parametrize(("jump", "cause"), [(0.2, VELOCITY), (2.0, UNREACHABLE)])
+def test_a_jump_is_a_failure_by_its_own_cause_and_the_arm_stays(jump: float, cause: str) -> None:
+    cell = shelf()
+    starts, joints = held_out(1)
+    path = np.array([starts[0], starts[0] - [jump, 0, 0, 0, 0, 0, 0], starts[0]])
+    episode = follow([path], cell.task, cell.reachability, joints)[0]
+    assert (episode.outcome, episode.steps) == (cause, 0)
+    assert episode.detail
+
+
+@pytest.mark.parametrize("limit", [1, 7])
+def test_the_step_limit_bounds_every_episode(limit: int) -> None:
+    for episode in rolled(greedy(), limit=limit):
+        assert (episode.outcome, episode.steps) == (STEP_LIMIT, limit)
+
+
+def test_episodes_do_not_depend_on_which_others_run_beside_them() -> None:
+    cell = shelf()
+    together = rolled(greedy(), count=3)
+    starts, joints = held_out(3)
+    alone = [
+        roll_out(greedy(), cell.task, cell.reachability, starts[i : i + 1], joints[i : i + 1], 700)[0] for i in range(3)
+    ]
+    for one, other in zip(together, alone, strict=True):
+        assert one.outcome == other.outcome
+        assert one.poses.shape == other.poses.shape
+        assert np.allclose(one.poses, other.poses, atol=1e-9)
+
+
+def test_following_a_path_that_breaks_the_rule_ends_where_it_does() -> None:
+    cell = shelf()
+    starts, joints = held_out(1)
+    tilts = np.linspace(0.0, 2 * cell.task.model_dump()["max_tilt_rad"], 11)
+    tilted = pose.multiply(starts[0, 3:], pose.from_rotation_vector(tilts[:, None] * [0.0, 1.0, 0.0]))
+    path = pose.make(starts[0, :3], tilted)
+    episode = follow([path], cell.task, cell.reachability, joints)[0]
+    assert episode.outcome == RULE_BROKEN
+    assert cell.task.rule_broken(episode.poses).tolist() == [False] * episode.steps + [True]
+
+
+def test_following_a_path_that_ends_short_of_the_goal_is_no_success() -> None:
+    cell = shelf()
+    starts, joints = held_out(1)
+    end = starts[0] - [0.01, 0, 0, 0, 0, 0, 0]
+    episode = follow([straight_path(starts[0], end, cell.task)], cell.task, cell.reachability, joints)[0]
+    assert episode.outcome == STEP_LIMIT
+    assert np.allclose(episode.poses[-1], end)
+
+
+def test_every_outcome_but_success_is_a_failure() -> None:
+    assert {STEP_LIMIT, STUCK, RULE_BROKEN, COLLISION, UNREACHABLE, VELOCITY} == set(FAILURES)
+    assert SUCCESS not in FAILURES

@@ -1,0 +1,77 @@
+from typing import Literal
+
+import numpy as np
+import pytest
+from parts import Parts
+
+from koopdqn import pose
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.robot.scene import SceneBuilder, build_scene
+from koopdqn.robot.ur import URArm
+from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.workcell import Workcell
+
+
+class _NegativeBox(ShelfTask):
+    """A shelf that MuJoCo cannot compile."""
+
+    @property
+    def orientation(self) -> Literal["held"]:
+        return "held"
+
+    def furnish(self, scene: SceneBuilder) -> None:
+        scene.furniture_box("impossible", (0, 0, 0), (-1.0, 0.1, 0.1), (1, 1, 1, 1))
+
+
+def test_mujoco_and_the_closed_form_agree_where_the_flange_is(workcell: Workcell, arm: URArm) -> None:
+    for joints in np.random.default_rng(0).uniform(-2 * np.pi, 2 * np.pi, (200, 6)):
+        seen, computed = workcell.scene.flange_pose(joints), arm.forward(joints)
+        assert pose.position_distance(seen, computed) < 1e-9
+        assert pose.rotation_distance(seen, computed) < 1e-9
+
+
+def test_a_question_does_not_depend_on_the_one_before(workcell: Workcell, arm: URArm) -> None:
+    first, second = np.array(arm.home), np.array(arm.home) + 0.3
+    before = workcell.scene.flange_pose(first)
+    workcell.scene.contact(second)
+    np.testing.assert_array_equal(workcell.scene.flange_pose(first), before)
+
+
+def test_nothing_touches_at_home_and_a_folded_arm_touches_itself(workcell: Workcell, arm: URArm) -> None:
+    assert workcell.scene.contact(np.array(arm.home)) == ""
+    folded = np.array([0.0, -1.5, 3.1, 0.0, 0.0, 0.0])
+    assert " with " in workcell.scene.contact(folded)
+
+
+def test_clearance_falls_as_the_bottle_nears_the_lip_and_is_capped(workcell: Workcell) -> None:
+    task = workcell.task
+    heights = task.goal[2] + np.array([0.02, 0.01, 0.0])
+    clearances = []
+    for height in heights:
+        joints = workcell.reachability.enter(pose.make([*task.goal[:2], height], task.goal[3:])).joints
+        assert joints is not None
+        clearances.append(workcell.scene.payload_clearance(joints))
+    np.testing.assert_allclose(np.diff(clearances), -0.01, atol=1e-6)
+    assert workcell.scene.payload_clearance(np.array(workcell.arm.home), at_most=0.001) == 0.001
+
+
+def test_the_payload_is_not_the_arm_and_the_floor_is_not_furniture(workcell: Workcell) -> None:
+    scene = workcell.scene
+    names = [scene.model.geom(i).name for i in range(scene.model.ngeom)]
+    assert sum("payload_" in name for name in names) == 2
+    payload = next(i for i, name in enumerate(names) if "payload_bottle_body" in name)
+    assert scene.thing(payload) == "bottle_body"
+
+
+def test_a_scene_that_does_not_compile_is_bad_input(parts: Parts) -> None:
+    broken = _NegativeBox.model_construct(**dict(parts.task))
+    with pytest.raises(BadInputError, match="scene of task shelf must compile"):
+        build_scene(broken, parts.arm)
+
+
+def test_only_the_arms_own_joints_are_moved(workcell: Workcell, arm: URArm) -> None:
+    joints: Array = np.linspace(-1, 1, 6)
+    workcell.scene.place(joints)
+    np.testing.assert_array_equal(workcell.scene.data.qpos[workcell.scene.joint_index], joints)
+    assert len(set(workcell.scene.joint_index)) == len(set(workcell.scene.actuator_index)) == len(arm.joint_names)
