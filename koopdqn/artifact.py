@@ -112,9 +112,12 @@ def described(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values that :func:`koopdqn.config.settings.load_settings` turns back into them."""
     cls = type(settings)
     node: dict[str, Any] = {TARGET: f"{cls.__module__}.{cls.__qualname__}"}
-    for name in cls.model_fields:
+    for name, field in cls.model_fields.items():
         value = getattr(settings, name)
         node[name] = described(value) if isinstance(value, Settings) else _plain(value)
+        # Only where a subclass may stand is its name read; elsewhere it would be an unknown key.
+        if type(value) is field.annotation and isinstance(value, Settings):
+            del node[name][TARGET]
     return node
 
 

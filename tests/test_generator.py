@@ -26,7 +26,7 @@ def test_demonstrations_from_one_start_differ_as_people_do(workcell: Workcell, p
     found = generate(same_start, workcell.reachability, parts.demo, seed).demonstrations
     for a, b in itertools.combinations(found.items, 2):
         np.testing.assert_allclose(a.poses[0], b.poses[0], atol=1e-9)
-        assert 0.005 <= hausdorff(a.poses[::2], b.poses[::2]) <= 0.015
+        assert 0.005 <= hausdorff(a.poses, b.poses) <= 0.015
 
 
 def test_the_seed_fixes_everything(
@@ -77,6 +77,7 @@ def test_progress_is_told_once_a_demonstration(workcell: Workcell, parts: Parts)
 
 
 def test_a_path_the_arm_cannot_follow_ends_with_the_reasons(workcell: Workcell, parts: Parts) -> None:
-    through_wall = with_fields(parts.task, waypoints=[[0.53, -0.2, 0.42], [0.59, 0.1, 0.47]])
+    coarse = {"step_m": 0.021, "position_tolerance_m": 0.02}
+    through_wall = with_fields(parts.task, waypoints=[[0.53, -0.2, 0.42], [0.59, 0.1, 0.47]], **coarse)
     with pytest.raises(WorkFailedError, match=r"task shelf: the arm must be able to follow.*'collision': \d+"):
         generate(through_wall, workcell.reachability, parts.demo, 0)

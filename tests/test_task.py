@@ -60,10 +60,20 @@ def test_starts_fill_the_start_region_and_the_seed_fixes_them(shelf_task: ShelfT
 
 
 def test_tilted_starts_are_turned_by_at_most_the_tilt(shelf_task: ShelfTask) -> None:
-    tilted = with_fields(shelf_task, start_tilt_rad=0.1).draw_starts(np.random.default_rng(0), 500)
-    angles = pose.rotation_distance(tilted, shelf_task.nominal_start)
+    turning = with_fields(shelf_task, start_tilt_rad=0.1, start_quaternion=[0.0, 1.0, 0.0, 0.0])
+    tilted = turning.draw_starts(np.random.default_rng(0), 500)
+    angles = pose.rotation_distance(tilted, turning.nominal_start)
     assert 0.09 < angles.max() <= 0.1
     assert angles.std() > 0.02
+
+
+def test_a_tilt_without_a_turn_gives_poses_or_is_refused(shelf_task: ShelfTask) -> None:
+    """Start and goal are turned alike here, so there is no axis to tilt about."""
+    try:
+        tilted = with_fields(shelf_task, start_tilt_rad=0.1)
+    except BadInputError:
+        return
+    assert np.isfinite(tilted.draw_starts(np.random.default_rng(0), 10)).all()
 
 
 @pytest.mark.parametrize(("off_m", "off_rad"), [(0.9, 0.9), (1.1, 0.0), (0.0, 1.1), (0.0, 0.0)])
@@ -75,4 +85,5 @@ def test_the_goal_is_reached_within_both_tolerances(shelf_task: ShelfTask, off_m
 
 
 def test_a_described_task_loads_as_itself(shelf_task: ShelfTask) -> None:
-    assert load_settings(described(shelf_task), Task, "task") == shelf_task
+    node = described(shelf_task)
+    assert described(load_settings(node, Task, "task")) == node

@@ -64,14 +64,17 @@ def fit(
     _check(demonstrations, task)
     trajectories = agent_steps(demonstrations, task)
     errors: list[Array] = []
+    sizes: list[Array] = []
     rollouts: list[dict[str, float]] = []
     for index, held_out in enumerate(trajectories):
         fold = IntentModel.fit(trajectories[:index] + trajectories[index + 1 :], task, intent)
-        errors.append(_one_step_errors(fold, held_out))
+        errors.append(_errors(fold.predict(held_out[:-1]), held_out[1:]))
+        rescaled = _errors(fold.preferred(held_out[:-1], task.step_m), held_out[1:])
+        sizes.append(_sizes(errors[-1] if trust.error_of == "raw" else rescaled))
         rollouts.append(_roll_out_error(fold, held_out, task))
         advance(index + 1)
     model = IntentModel.fit(trajectories, task, intent)
-    sizes = [_sizes(error) for error in errors]
+    raw = [_sizes(error) for error in errors]
     report: dict[str, Any] = {
         "task": task.name,
         "intent": intent.name,
@@ -79,7 +82,7 @@ def fit(
         "samples": [len(trajectory) for trajectory in trajectories],
         "step_m": task.step_m,
         "one_step_error_m": _error_summary([error[:, :3] for error in errors], _AXES),
-        "one_step_error_per_step_m": _per_step([size[:, 0] for size in sizes]),
+        "one_step_error_per_step_m": _per_step([size[:, 0] for size in raw]),
         "one_step_error_rad": None,
         "one_step_error_per_step_rad": None,
         "roll_out_error_m": _summary_of_roll_outs(rollouts),
@@ -92,14 +95,13 @@ def fit(
     }
     if model.rotation is not None:
         report["one_step_error_rad"] = _error_summary([error[:, 3:] for error in errors], _TURNS)
-        report["one_step_error_per_step_rad"] = _per_step([size[:, 1] for size in sizes])
+        report["one_step_error_per_step_rad"] = _per_step([size[:, 1] for size in raw])
         report["spectral_radius_rotation"] = model.rotation.koopman.spectral_radius()
     return Fitted(model, TrustDomain.fit(trajectories, sizes, task.frame, trust), report)
 
 
-def _one_step_errors(model: IntentModel, held_out: Array) -> Array:
-    """Return x, y, z [m] and the rotation vector [rad] (N − 1, 6) from each true next pose to its prediction."""
-    predicted, true = model.predict(held_out[:-1]), held_out[1:]
+def _errors(predicted: Array, true: Array) -> Array:
+    """Return x, y, z [m] and the rotation vector [rad] (N, 6) from true poses (N, 7) to predicted ones."""
     turn = pose.multiply(pose.conjugate(true[:, pose.QUATERNION]), predicted[:, pose.QUATERNION])
     position = predicted[:, pose.POSITION] - true[:, pose.POSITION]
     return np.concatenate([position, pose.to_rotation_vector(turn)], axis=1)
@@ -204,7 +206,7 @@ def _sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSet
     errors, motions = [], []
     for index, held_out in enumerate(trajectories):
         fold = IntentModel.fit(trajectories[:index] + trajectories[index + 1 :], task, intent)
-        errors.append(_sizes(_one_step_errors(fold, held_out)))
+        errors.append(_sizes(_errors(fold.predict(held_out[:-1]), held_out[1:])))
         moved = pose.position_distance(held_out[1:], held_out[:-1])
         motions.append(np.stack([moved, pose.rotation_distance(held_out[1:], held_out[:-1])], axis=1))
     error, motion = np.concatenate(errors), np.concatenate(motions)

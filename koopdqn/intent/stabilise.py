@@ -11,8 +11,8 @@ class Stabilisation(Settings):
     """How the demonstrations are surrounded by states that lead back to them."""
 
     copies: int = Field(ge=0, le=100, description="made-up pairs for each demonstrated one; 0 for none")
-    spread_m: float = Field(gt=0, description="standard deviation of the sideways offset of a made-up state [m]")
     pull_back_m: float = Field(gt=0, description="distance over which a made-up pair leads back [m]")
+    spread: float = Field(gt=0, description="standard deviation of a made-up state's sideways offset, in pull_back_m")
     seed: int = Field(ge=0)
 
 
@@ -31,7 +31,7 @@ def surrounded(before: Array, after: Array, settings: Stabilisation) -> tuple[Ar
     before, motion, length = before[moving], motion[moving], length[moving]
     direction = motion / length
     for _ in range(settings.copies):
-        offset = rng.normal(scale=settings.spread_m, size=before.shape)
+        offset = rng.normal(scale=settings.spread * settings.pull_back_m, size=before.shape)
         offset -= (offset * direction).sum(axis=1, keepdims=True) * direction
         back = direction - offset / settings.pull_back_m
         back /= np.linalg.norm(back, axis=1, keepdims=True)

@@ -25,6 +25,9 @@ class TrustSettings(Settings):
     sigmas: float = Field(gt=0, description="k: half the width of the domain, in standard deviations")
     position_floor_m: float = Field(ge=0, description="least standard deviation of x, y, z [m]")
     rotation_floor_rad: float = Field(ge=0, description="least standard deviation of roll, pitch, yaw [rad]")
+    error_of: Literal["raw", "rescaled"] = Field(
+        description="whether the error that counts is the raw prediction's or that of one as long as the agent's step"
+    )
     error_limit_m: float = Field(gt=0, description="trust no step whose held-out one-step error is larger [m]")
     error_limit_rad: float = Field(gt=0, description="the same for orientation [rad]")
     needs: Literal["reached", "both"] = Field(

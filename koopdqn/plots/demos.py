@@ -1,10 +1,10 @@
 """The picture of ``koopdqn demo``: the demonstrated paths in the scene, and in figures."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
@@ -43,19 +43,28 @@ def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, 
     count = len(demonstrations)
     title = f"{count} demonstration{'s' if count != 1 else ''} of task {task.name} with {demonstrations.arm}"
     with picture(path, title, WIDTH, HEIGHT) as figure:
-        left, right = figure.add_gridspec(1, 2, width_ratios=(1.45, 1))
+        grid = figure.add_gridspec(1, 2, width_ratios=(1.45, 1))
+        left, right = grid[0], grid[1]
         if image is None:
-            top, side = left.subgridspec(2, 1)
+            places = left.subgridspec(2, 1)
         else:
-            above, below = left.subgridspec(2, 1, height_ratios=(1.55, 1))
-            top, side = below.subgridspec(1, 2)
-            show_image(figure.add_subplot(above), image, "Arm at the goal, at the start as a ghost; demonstrated paths")
-        axes = [figure.add_subplot(cell) for cell in (top, side)]
+            halves = left.subgridspec(2, 1, height_ratios=(1.55, 1))
+            places = halves[1].subgridspec(1, 2)
+            show_image(
+                figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; demonstrated paths"
+            )
+        axes = [figure.add_subplot(cell) for cell in (places[0], places[1])]
         for plane, each in zip(PLANES, axes, strict=True):
             _projection(each, plane, demonstrations, task)
         axes[0].set_title("From above")
         axes[1].set_title("From the side")
-        _components(figure, right.subgridspec(4, 1).subplots(sharex=True), demonstrations, task)
+        stack = right.subgridspec(4, 1)
+        rows = [figure.add_subplot(stack[0])]
+        rows += [figure.add_subplot(stack[i], sharex=rows[0]) for i in range(1, 4)]
+        for row in rows[:3]:
+            row.tick_params(labelbottom=False)
+        _components(rows, demonstrations, task)
+        figure.align_ylabels(rows)
 
 
 def _projection(axes: Axes, plane: str, demonstrations: Demonstrations, task: Task) -> None:
@@ -67,7 +76,7 @@ def _projection(axes: Axes, plane: str, demonstrations: Demonstrations, task: Ta
     axes.legend(loc="best")
 
 
-def _components(figure: Figure, axes: np.ndarray, demonstrations: Demonstrations, task: Task) -> None:
+def _components(axes: Sequence[Axes], demonstrations: Demonstrations, task: Task) -> None:
     """Draw x, y, z and speed, or the turn left to the goal where orientation is learned, over the path's share."""
     items = demonstrations.items
     colours = series_colours(len(items))
@@ -92,7 +101,6 @@ def _components(figure: Figure, axes: np.ndarray, demonstrations: Demonstrations
     axes[3].set_ylim(bottom=0.0)
     axes[3].set_xlabel("share of the path travelled [%]")
     axes[3].set_xlim(0, 100)
-    figure.align_ylabels(axes.tolist())
     handles, labels = axes[0].get_legend_handles_labels()
     axes[0].legend(handles, labels, loc="best", ncols=2)
 

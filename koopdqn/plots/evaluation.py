@@ -17,7 +17,6 @@ from koopdqn.plots.style import (
     INK,
     LEARNED,
     MEANT,
-    PLANES,
     RED,
     Image,
     frame_projection,
@@ -65,20 +64,23 @@ def plot_evaluation(
         f" (95 % interval {low:.0%} to {high:.0%})"
     )
     with picture(path, title, WIDTH, HEIGHT) as figure:
-        upper, lower = figure.add_gridspec(2, 1, height_ratios=(1.25, 1))
-        left, right = upper.subgridspec(1, 2, width_ratios=(1, 1.1))
-        curves, bars = right.subgridspec(2, 1)
+        rows = figure.add_gridspec(2, 1, height_ratios=(1.25, 1) if image is not None else (1, 2))
+        halves = rows[0].subgridspec(1, 2, width_ratios=(1, 1.1))
         if image is None:
-            views = [figure.add_subplot(left), *lower.subgridspec(1, 1).subplots().ravel()]
+            curves, bars = halves[0], halves[1]
         else:
-            show_image(figure.add_subplot(left), image, "Arm at the goal, at the start as a ghost; learned paths")
-            views = list(lower.subgridspec(1, 2).subplots().ravel())
+            right = halves[1].subgridspec(2, 1)
+            curves, bars = right[0], right[1]
+            show_image(figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; learned paths")
+        below = rows[1].subgridspec(1, 2)
+        views = [figure.add_subplot(below[i]) for i in range(2)]
         _deviation(figure.add_subplot(curves), episodes, references)
         for axes, (plane, view) in zip(views, (("top", "above"), ("side", "the side")), strict=True):
             _projection(axes, plane, episodes, references, demonstrations, task)
             axes.set_title(f"Learned and demonstrated paths, from {view}")
-        success, distance = bars.subgridspec(1, 2).subplots(sharey=True)
-        _comparison(success, distance, report)
+        pair = bars.subgridspec(1, 2)
+        success = figure.add_subplot(pair[0])
+        _comparison(success, figure.add_subplot(pair[1], sharey=success), report)
 
 
 def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Array]) -> None:
@@ -93,13 +95,15 @@ def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Arr
         return
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
     share = np.linspace(0, 100, SAMPLES)
+    highest = 1e-6
     for values, colour, name in ((apart.matched, LEARNED, "matched by arc length"), (apart.lateral, RED, "sideways")):
         low, median, high = np.percentile(values * _MM, [5, 50, 95], axis=0)
         axes.fill_between(share, low, high, color=colour, alpha=0.16, lw=0, label=f"{name}, 5–95 %")
         axes.plot(share, median, color=colour, label=f"{name}, median")
-    axes.set_ylim(bottom=0)
-    axes.margins(y=0.25)
-    axes.legend(loc="best", ncols=2)
+        highest = max(highest, float(high.max()))
+    # Room above for the legend.
+    axes.set_ylim(0, 1.45 * highest)
+    axes.legend(loc="upper center", ncols=2)
 
 
 def _projection(
@@ -121,9 +125,7 @@ def _projection(
     for paths, colour, style, width, label, order in styles:
         for index, path in enumerate(paths):
             shown = f"{label} ({len(paths)})" if not index else None
-            axes.plot(
-                *project(path, plane), color=colour, linestyle=style, linewidth=width, label=shown, zorder=order
-            )
+            axes.plot(*project(path, plane), color=colour, linestyle=style, linewidth=width, label=shown, zorder=order)
     ends = [e.poses[-1:, pose.POSITION] for e in episodes[:_SHOWN] if e.outcome != SUCCESS]
     if ends:
         axes.plot(
@@ -148,10 +150,10 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
     success.set_xlim(0, 1.3)
     success.set_xticks([0, 0.5, 1.0])
     success.xaxis.set_major_formatter(PercentFormatter(1.0))
-    success.set_xlabel("success rate, 95 % interval")
+    success.set_xlabel("success rate")
     success.set_yticks(rows, [name.replace("_", " ") for name in methods])
     success.invert_yaxis()
-    success.set_title("Policy and baselines")
+    success.set_title("Success, 95 % interval")
     found = [method["path_deviation_mm"] for method in methods.values()]
     longest = 1e-6
     for row, (deviation, colour) in enumerate(zip(found, colours, strict=True)):
@@ -165,8 +167,10 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
         if worst is not None:
             distance.plot(worst, row, marker="|", markersize=12, markeredgewidth=2, color=INK)
         _value(distance, reach, row, f"{mean:.1f}")
+    distance.tick_params(labelleft=False)
     distance.set_xlim(0, 1.35 * longest)
-    distance.set_xlabel("path deviation [mm]: bar mean, mark 95 % of maxima")
+    distance.set_xlabel("mean, | 95 % of maxima [mm]")
+    distance.set_title("Path deviation")
     for axes in (success, distance):
         axes.grid(False, axis="y")
 

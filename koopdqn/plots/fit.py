@@ -34,6 +34,8 @@ from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1060
 _MM = 1e3
+_OUTSIDE = 5e-5
+"""By how much an eigenvalue is over 1 before it shows in four decimals."""
 
 
 def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: Task) -> None:
@@ -53,13 +55,13 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
     title = f"Human intent of task {task.name} ({report['intent']}): held-out one-step error {rms:.2f} mm RMS"
     turns = report["one_step_error_rad"] is not None
     if turns:
-        title += f", {np.degrees(report['one_step_error_rad']['rms']):.2f}°"
+        title += f", {np.degrees(report['one_step_error_rad']['rms']):.2g}°"
     trajectories = agent_steps(demonstrations, task)
     with picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 6, height_ratios=(1, 1.15))
         cells = grid[0, :4].subgridspec(2 if turns else 1, 1)
         upper = figure.add_subplot(cells[0])
-        _position_errors(upper, fitted, task)
+        _position_errors(upper, fitted, task, room=1.9 if turns else 1.45)
         if turns:
             _rotation_errors(figure.add_subplot(cells[1], sharex=upper), fitted, task)
             upper.tick_params(labelbottom=False)
@@ -77,20 +79,22 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         first = figure.add_subplot(bars[0])
         _components(first, report["one_step_error_m"], _MM, "one-step error [mm]")
         first.set_title("Held-out error by component")
+        first.legend(loc="upper right", ncols=2)
         if turns:
             _components(figure.add_subplot(bars[1]), report["one_step_error_rad"], float(np.degrees(1)), "error [°]")
 
 
-def _position_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
+def _position_errors(axes: Axes, fitted: Fitted, task: Task, room: float) -> None:
     settings = fitted.trust.settings
     lines = [
-        (task.position_tolerance_m * _MM, INK, "--", "compare tolerance"),
         (settings.error_limit_m * _MM, RED, "-", "trust limit"),
+        (task.position_tolerance_m * _MM, INK, "--", "compare tolerance"),
     ]
     paper = fitted.report["sixty_samples"]["paper_max_m"]
     if paper is not None:
         lines.append((paper * _MM, GREY, ":", "largest in the paper"))
-    _errors(axes, fitted, fitted.report["one_step_error_per_step_m"], _MM, lines, "mm")
+    _errors(axes, fitted, fitted.report["one_step_error_per_step_m"], _MM, lines, "mm", room)
+    axes.legend(loc="upper center", ncols=3)
     axes.set_ylabel("one-step error [mm]")
     axes.set_title("Held-out one-step error: each demonstration predicted by the others")
 
@@ -98,11 +102,14 @@ def _position_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
 def _rotation_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
     degree = float(np.degrees(1.0))
     lines = [
-        (task.rotation_tolerance_rad * degree, INK, "--", "compare tolerance"),
         (fitted.trust.settings.error_limit_rad * degree, RED, "-", "trust limit"),
+        (task.rotation_tolerance_rad * degree, INK, "--", "compare tolerance"),
     ]
-    _errors(axes, fitted, fitted.report["one_step_error_per_step_rad"], degree, lines, "°")
+    _errors(axes, fitted, fitted.report["one_step_error_per_step_rad"], degree, lines, "°", room=1.6)
     axes.set_ylabel("one-step error [°]")
+    handles, labels = axes.get_legend_handles_labels()
+    # The rest is in the panel above.
+    axes.legend(handles[-len(lines) :], labels[-len(lines) :], loc="upper center", ncols=2)
 
 
 def _errors(
@@ -112,8 +119,12 @@ def _errors(
     scale: float,
     lines: Sequence[tuple[float, str, str, str]],
     unit: str,
+    room: float,
 ) -> None:
-    """Draw mean and largest error per step, with horizontal lines (value, colour, style, meaning)."""
+    """Draw mean and largest error per step, and horizontal lines (value, colour, style, meaning).
+
+    The vertical axis reaches ``room`` times higher than what is drawn, for the legend.
+    """
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
     highest = max(line[0] for line in lines)
     _shade(axes, ~fitted.trust.known)
@@ -122,10 +133,9 @@ def _errors(
     for value, colour, style, meaning in lines:
         axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
     axes.set_xlim(0, max(len(mean), len(fitted.trust.mean)) - 1)
-    # Room above for the legend; an error far over all limits is cut off rather than flattening the rest.
-    axes.set_ylim(0, 1.45 * min(max(float(largest.max()), highest), 4 * highest))
+    # An error far over all limits is cut off rather than flattening the rest.
+    axes.set_ylim(0, room * min(max(float(largest.max()), highest), 4 * highest))
     axes.set_xlabel("step of the demonstration")
-    axes.legend(loc="upper center", ncols=3)
 
 
 def _shade(axes: Axes, asked: np.ndarray) -> None:
@@ -142,13 +152,11 @@ def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
     angle = np.linspace(0, 2 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=1.0, label="unit circle")
     reach = 1.0
-    radii = []
     for name, matrix, colour in matrices:
         values = np.linalg.eigvals(matrix)
         reach = max(reach, float(np.abs(values).max()))
-        radii.append(f"{name} {np.abs(values).max():.4f}")
-        outside = np.abs(values) > 1.0 + 1e-9
-        for chosen, marker, label in ((~outside, "o", ""), (outside, "X", ", outside")):
+        outside = np.abs(values) > 1.0 + _OUTSIDE
+        for chosen, marker, label in ((~outside, "o", "within"), (outside, "X", "outside")):
             if chosen.any():
                 axes.plot(
                     values[chosen].real,
@@ -159,15 +167,15 @@ def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
                     color=colour if marker == "o" else RED,
                     markeredgecolor="white",
                     markeredgewidth=0.5,
-                    label=f"of {name}{label}: {int(chosen.sum())}",
+                    label=f"{name}: {int(chosen.sum())} {label}, largest {np.abs(values[chosen]).max():.4f}",
                 )
     axes.set_xlim(-1.15 * reach, 1.15 * reach, auto=True)
     axes.set_ylim(-1.15 * reach, 1.15 * reach, auto=True)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel("real part")
     axes.set_ylabel("imaginary part")
-    axes.set_title(f"Eigenvalues; spectral radius of {', '.join(radii)}")
-    axes.legend(loc="center left", bbox_to_anchor=(0.22, 0.5))
+    axes.set_title("Eigenvalues of K" if len(matrices) == 1 else "Eigenvalues of K_p and K_o")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.06))
 
 
 def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Array]:
@@ -222,9 +230,9 @@ def _components(axes: Axes, error: dict[str, dict[str, float]], scale: float, la
     axes.bar(place - 0.2, rms, 0.38, color=BLUE, label="RMS")
     axes.bar(place + 0.2, largest, 0.38, color=PALE, label="largest")
     for x, value in (*zip(place - 0.2, rms, strict=True), *zip(place + 0.2, largest, strict=True)):
-        axes.annotate(f"{value:.2f}", (x, value), (0, 2), textcoords="offset points", ha="center", fontsize=9, color=INK)
-    axes.set_xticks(place, names)
-    axes.set_ylim(0, 1.3 * max(float(largest.max()), 1e-6))
+        text = f"{value:.2g}" if value >= 1e-3 else "0"
+        axes.annotate(text, (x, value), (0, 2), textcoords="offset points", ha="center", fontsize=9, color=INK)
+    axes.set_xticks(place, [name.replace("_", " ") for name in names])
+    axes.set_ylim(0, 1.45 * max(float(largest.max()), 1e-6))
     axes.grid(False, axis="x")
     axes.set_ylabel(label)
-    axes.legend(loc="upper right", ncols=2)

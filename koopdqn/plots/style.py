@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
@@ -42,7 +42,7 @@ MEANT: Final = INK
 TRUST: Final = "#CDEBDF"
 ASK: Final = "#F7D9C4"
 
-_STYLE: Final[dict[str, object]] = {
+_STYLE: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
     "font.size": 10,
     "axes.titlesize": 11,
@@ -163,11 +163,15 @@ def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Arr
     inside = np.concatenate([*positions, [center - half, center + half, goal]])[:, [i, j]]
     low, high = inside.min(axis=0), inside.max(axis=0)
     margin = 0.06 * float((high - low).max())
-    # auto=True leaves matplotlib free to widen one of the two to keep the scales equal.
-    axes.set_xlim(low[0] - margin, high[0] + margin, auto=True)
-    axes.set_ylim(low[1] - margin, high[1] + margin, auto=True)
-    axes.set_aspect("equal", adjustable="datalim")
+    low, high = low - margin, high + margin
+    # Asks for automatic limits, so it must come before those below.
     axes.locator_params(nbins=6)
+    # To keep the scales equal matplotlib may widen either limit (auto=True), or narrow it down to the data it
+    # knows of: the two corners make the margin part of them.
+    axes.update_datalim([low, high])
+    axes.set_xlim(low[0], high[0], auto=True)
+    axes.set_ylim(low[1], high[1], auto=True)
+    axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"{'xyz'[i]} [m]")
     axes.set_ylabel(f"{'xyz'[j]} [m]")
 

@@ -54,7 +54,7 @@ def _success(axes: Axes, history: History, learned_at: int | None) -> None:
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.set_xlabel("actions tried")
-    axes.set_ylabel("success rate [%]")
+    axes.set_ylabel("success rate")
     axes.set_title("Checks of the policy alone")
     _legend_or_note(axes, bool(steps), "no check was made")
 
@@ -63,17 +63,20 @@ def _rewards(axes: Axes, history: History) -> None:
     rewards = np.array(history.rewards, dtype=float)
     exploring = np.array(history.exploring, dtype=bool)
     number = np.arange(1, len(rewards) + 1)
-    for chosen, colour, label in (
-        (~exploring, SKY, "from the start region"),
-        (exploring, PALE, "from along a demonstration"),
-    ):
+    groups = (
+        (exploring, PALE, GREY, "from along a demonstration"),
+        (~exploring, SKY, BLUE, "from the start region"),
+    )
+    for chosen, dot, line, label in groups:
         if chosen.any():
-            axes.plot(number[chosen], rewards[chosen], linestyle="", marker=".", markersize=4, color=colour, label=label)
-    whole = np.flatnonzero(~exploring)
-    if len(whole) >= _WINDOW:
-        mean = _running_mean(rewards[whole], _WINDOW)
-        label = f"mean of {_WINDOW} from the start region"
-        axes.plot(number[whole][_WINDOW - 1 :], mean, color=BLUE, linewidth=2, label=label)
+            axes.plot(number[chosen], rewards[chosen], linestyle="", marker=".", markersize=5, color=dot, label=label)
+        if chosen.sum() >= _WINDOW:
+            mean = _running_mean(rewards[chosen], _WINDOW)
+            axes.plot(number[chosen][_WINDOW - 1 :], mean, color=line, linewidth=2, label=f"mean of {_WINDOW} of them")
+    # Room above for the legend.
+    axes.margins(y=0.05)
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.35 * (high - low))
     axes.set_xlabel("episode")
     axes.set_ylabel("reward gathered")
     axes.set_title("Reward of each episode")
@@ -104,9 +107,9 @@ def _rewards_given(axes: Axes, history: History) -> None:
     total = max(sum(counts), 1)
     for row, count in enumerate(counts):
         axes.annotate(
-            f"{count:,} ({count / total:.1%})", (count, row), (5, 0), textcoords="offset points", va="center", color=INK
+            f"{count:,} ({count / total:.2%})", (count, row), (5, 0), textcoords="offset points", va="center", color=INK
         )
-    axes.set_xlim(0, 1.5 * max(*counts, 1))
+    axes.set_xlim(0, 1.75 * max(*counts, 1))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.locator_params(axis="x", nbins=5)
     axes.invert_yaxis()
@@ -120,15 +123,15 @@ def _agreement(axes: Axes, history: History) -> None:
     for row, (name, share) in enumerate(shares.items()):
         axes.barh(row, share or 0.0, color=_SOURCE_COLOURS[name], height=0.6)
         text = "none given" if share is None else f"{share:.1%}"
-        axes.annotate(text, (share or 0.0, row), (5, 0), textcoords="offset points", va="center", color=INK)
+        axes.annotate(text, (1.0, row), (5, 0), textcoords="offset points", va="center", color=INK)
     axes.axvline(1.0, color=GREY, linewidth=1.0)
     axes.set_yticks(range(len(shares)), list(shares))
-    axes.set_xlim(0, 1.25)
+    axes.set_xlim(0, 1.4)
     axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.invert_yaxis()
     axes.grid(False, axis="y")
-    axes.set_xlabel("rewards that the demonstrator agrees with [%]")
+    axes.set_xlabel("rewards that the demonstrator agrees with")
     axes.set_title("Agreement with the demonstrator")
 
 

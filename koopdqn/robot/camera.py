@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import TracebackType
 from typing import Any, Final
 
@@ -10,21 +11,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from koopdqn import pose
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
 from koopdqn.robot.rendering_backend import VARIABLE
 from koopdqn.robot.scene import Scene
+from koopdqn.robot.view import View
 
 Image = NDArray[np.uint8]
 """A picture (height, width, 3), red, green, blue."""
 Rgba = tuple[float, float, float, float]
 
 _MAX_GEOMS: Final = 10_000
-_MARGIN: Final = 0.10
-"""Share of the picture's half width and half height that stays free around what is to be seen."""
-_AZIMUTHS: Final = (*range(-75, 80, 15), 105, -105, 135, -135)
-_ELEVATIONS: Final = (-20.0, -32.0)
 _SEGMENT: Final = 0.012
 """Length of a drawn line's pieces [m]: on a bend of 0.1 m they leave the curve by 0.2 mm."""
 _SHINES_THROUGH: Final = 0.55
@@ -33,55 +30,6 @@ _COVERED: Final = 6.0
 """By how much of 255 a pixel differs where a line is drawn on it."""
 _DEPTH_SLACK: Final = 2e-3
 """What is nearer by less [m] counts as the same."""
-_PROBES: Final = 24
-"""Points of the path that are tested for being hidden."""
-
-
-@dataclass(frozen=True)
-class View:
-    """From where a scene is looked at, in MuJoCo's terms.
-
-    Attributes:
-        lookat: the point (3,) [m] in the middle of the picture.
-        distance: from there to the eye [m].
-        azimuth: direction of sight about z [degrees]; 0 looks along +x, 90 along +y.
-        elevation: direction of sight above the horizon [degrees]; negative looks down.
-    """
-
-    lookat: tuple[float, float, float]
-    distance: float
-    azimuth: float
-    elevation: float
-
-    @property
-    def forward(self) -> Array:
-        """The direction of sight, a unit vector (3,)."""
-        azimuth, elevation = np.radians([self.azimuth, self.elevation])
-        level = np.cos(elevation)
-        return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
-
-    @property
-    def eye(self) -> Array:
-        """Where the eye is (3,) [m]."""
-        return np.asarray(np.array(self.lookat) - self.distance * self.forward)
-
-    def axes(self) -> Array:
-        """Return the unit vectors (3, 3) to the right, up and forward, one a row."""
-        azimuth = np.radians(self.azimuth)
-        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-        return np.array([right, np.cross(right, self.forward), self.forward])
-
-    def pixels(self, points: Array, size: tuple[int, int], field_of_view: float) -> Array:
-        """Return where points (N, 3) [m] appear, as columns and rows (N, 2) [pixels].
-
-        Args:
-            points: in front of the eye.
-            size: width and height of the picture.
-            field_of_view: vertical angle that the picture spans [degrees].
-        """
-        right, up, depth = ((points - self.eye) @ self.axes().T).T
-        focal = size[1] / 2 / np.tan(np.radians(field_of_view) / 2)
-        return np.stack([size[0] / 2 + focal * right / depth, size[1] / 2 - focal * up / depth], axis=1)
 
 
 @dataclass(frozen=True)
@@ -190,7 +138,7 @@ class Camera:
             image = self._with_ghosts(image, joints, view, ghosts)
         if lines:
             image = self._with_hidden(image, lines)
-        return np.rint(image).astype(np.uint8)
+        return np.asarray(np.rint(image), dtype=np.uint8)
 
     def _look(self, joints: Array, view: View) -> None:
         self.scene.place(joints)
@@ -226,7 +174,7 @@ class Camera:
 
     def _depth(self) -> Array:
         self._renderer.enable_depth_rendering()
-        depth = self._renderer.render().astype(float)
+        depth = np.array(self._renderer.render(), dtype=float)
         self._renderer.disable_depth_rendering()
         return depth
 
@@ -242,7 +190,7 @@ class Camera:
         every = max(1, -(-sum(map(len, thinned)) // room))
         for line, points in zip(lines, thinned, strict=True):
             kept = np.concatenate([points[:-1:every], points[-1:]])
-            for start, end in zip(kept[:-1], kept[1:], strict=True):
+            for start, end in pairwise(kept):
                 if geom := self._new_geom(mujoco.mjtGeom.mjGEOM_CAPSULE, line.rgba):
                     mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, line.radius, start, end)
 
@@ -264,7 +212,7 @@ def _thinned(points: Array, spacing: float) -> Array:
     points = np.asarray(points, dtype=float)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     _, first = np.unique(np.floor(arc / spacing), return_index=True)
-    return points[np.unique(np.append(first, len(points) - 1))]
+    return np.asarray(points[np.unique(np.append(first, len(points) - 1))])
 
 
 def render(
@@ -283,91 +231,3 @@ def render(
     """
     with Camera(scene, size) as camera:
         return camera.picture(joints, view, lines, spheres, ghosts)
-
-
-def choose_view(scene: Scene, joints: Array, size: tuple[int, int]) -> View:
-    """Return the view that hides least of a motion and has the arm and its path in the picture.
-
-    Of a fan of directions it takes the one from which, by rays cast from the eye, the payload can be seen
-    at the goal, the least of the flange's path is hidden, and the path is spread widest. It needs no OpenGL.
-
-    Args:
-        scene: the scene.
-        joints: joint angles (N, 6) [rad] along the motion.
-        size: width and height of the picture [pixels].
-    """
-    path = scene.arm.forward(joints)[:, pose.POSITION]
-    seen = np.concatenate(
-        [path, *(_arm_corners(scene, row) for row in (joints[0], joints[len(joints) // 2], joints[-1]))]
-    )
-    best, best_score = None, -np.inf
-    for elevation in _ELEVATIONS:
-        for azimuth in _AZIMUTHS:
-            view = fitted_view(seen, azimuth, elevation, size, scene.model.vis.global_.fovy)
-            score = _score(scene, joints, path, view)
-            if score > best_score + 1e-9:
-                best, best_score = view, score
-    assert best is not None
-    return best
-
-
-def fitted_view(points: Array, azimuth: float, elevation: float, size: tuple[int, int], field_of_view: float) -> View:
-    """Return the nearest view in a direction in which all points (N, 3) [m] are in the picture.
-
-    Args:
-        points: what is to be seen.
-        azimuth: direction of sight [degrees].
-        elevation: direction of sight [degrees].
-        size: width and height of the picture [pixels].
-        field_of_view: vertical angle that the picture spans [degrees].
-    """
-    axes = View((0.0, 0.0, 0.0), 1.0, azimuth, elevation).axes()
-    tangent = np.tan(np.radians(field_of_view) / 2) * (1 - _MARGIN) * np.array([size[0] / size[1], 1.0])
-    sideways, depth = (points @ axes.T)[:, :2], points @ axes[2]
-    # Seen from height h above the plane of depth 0, a point is inside if |sideways − c| <= tangent (depth + h):
-    # both edges are linear in c and h, so the least h leaves the middle between the two that bind.
-    high, low = (sideways - tangent * depth[:, None]).max(axis=0), (sideways + tangent * depth[:, None]).min(axis=0)
-    center = (high + low) / 2
-    back = float(((high - low) / 2 / tangent).max())
-    middle = (depth.min() + depth.max()) / 2
-    lookat = center[0] * axes[0] + center[1] * axes[1] + middle * axes[2]
-    return View((float(lookat[0]), float(lookat[1]), float(lookat[2])), float(back + middle), azimuth, elevation)
-
-
-def _arm_corners(scene: Scene, joints: Array) -> Array:
-    """Return the corners (8 N, 3) [m] of the boxes around every moving geom at joints (6,) [rad]."""
-    scene.place(joints)
-    model, data = scene.model, scene.data
-    moving = [i for i in range(model.ngeom) if model.body_weldid[model.geom_bodyid[i]] != 0]
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    corners = []
-    for i in moving:
-        center, half = model.geom_aabb[i, :3], model.geom_aabb[i, 3:]
-        corners.append(data.geom_xpos[i] + (center + signs * half) @ data.geom_xmat[i].reshape(3, 3).T)
-    return np.concatenate([*corners, np.zeros((1, 3))])
-
-
-def _seen_share(scene: Scene, joints: Array, targets: Sequence[tuple[Array, int]], eye: Array) -> float:
-    """Return the share of targets, points (3,) [m] with the geom each lies in or −1, that nothing hides at joints (6,)."""
-    scene.place(joints)
-    hit = np.zeros(1, dtype=np.int32)
-    seen = 0
-    for point, own in targets:
-        # The distance is in lengths of the ray: under 1 something stands before the point, −1 is nothing at all.
-        distance = mujoco.mj_ray(scene.model, scene.data, eye, point - eye, None, 1, -1, hit)
-        seen += distance < 0 or distance > 0.98 or int(hit[0]) == own
-    return seen / max(len(targets), 1)
-
-
-def _score(scene: Scene, joints: Array, path: Array, view: View) -> float:
-    """Return how good a view of a motion is: the payload seen at the goal, the path unhidden and spread wide."""
-    scene.place(joints[-1])
-    model = scene.model
-    payload = [i for i in range(model.ngeom) if "payload_" in model.geom(i).name]
-    targets = [(scene.data.geom_xpos[i].copy(), i) for i in payload]
-    probes = [(path[i], -1) for i in np.linspace(0, len(path) - 1, _PROBES).astype(int)]
-    flat = (path - path.mean(axis=0)) @ view.axes()[:2].T
-    # The path's outline across its longer side, as an angle at the eye.
-    spread = float(np.linalg.svd(flat / np.sqrt(len(flat)), compute_uv=False)[-1]) / view.distance
-    unhidden = np.mean([_seen_share(scene, row, probes, view.eye) for row in (joints[0], joints[-1])])
-    return _seen_share(scene, joints[-1], targets, view.eye) + 0.3 * float(unhidden) + 20.0 * spread

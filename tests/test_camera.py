@@ -1,0 +1,135 @@
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+import pytest
+
+from koopdqn import pose
+from koopdqn.errors import WorkFailedError
+from koopdqn.robot.camera import Camera, Ghost, Line, Sphere, render
+from koopdqn.robot.rendering_backend import VARIABLE
+from koopdqn.robot.view import View, choose_view
+
+if TYPE_CHECKING:
+    from koopdqn.pose import Array
+    from koopdqn.robot.scene import Scene
+    from koopdqn.workcell import Workcell
+
+SIZE = (320, 240)
+RED = (1.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def scene(workcell: "Workcell") -> "Scene":
+    return workcell.scene
+
+
+@pytest.fixture(scope="module")
+def motion(workcell: "Workcell") -> "Array":
+    """Joint angles along the nominal path."""
+    points = workcell.task.nominal_path.points[::8]
+    joints, reason = workcell.reachability.follow(pose.make(points, workcell.task.start_quaternion))
+    assert joints is not None, reason
+    return joints
+
+
+@pytest.fixture(scope="module")
+def view(scene: "Scene", motion: "Array") -> View:
+    return choose_view(scene, motion, SIZE)
+
+
+@pytest.fixture(scope="module")
+def camera(scene: "Scene"):
+    with Camera(scene, SIZE) as opened:
+        yield opened
+
+
+def changed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.abs(first.astype(int) - second.astype(int)).max(axis=2) > 25
+
+
+def test_picture_has_the_size_asked_for_and_shows_something(camera: Camera, view: View, motion: "Array") -> None:
+    image = camera.picture(motion[-1], view)
+    assert image.shape == (SIZE[1], SIZE[0], 3)
+    assert image.dtype == np.uint8
+    assert image.std() > 20
+
+
+def test_same_call_gives_the_same_picture(camera: Camera, scene: "Scene", view: View, motion: "Array") -> None:
+    line = Line(scene.arm.forward(motion)[:, :3], RED)
+    first = camera.picture(motion[-1], view, [line], ghosts=[Ghost(motion[0])])
+    camera.picture(motion[0], view)
+    np.testing.assert_array_equal(first, camera.picture(motion[-1], view, [line], ghosts=[Ghost(motion[0])]))
+
+
+def test_moving_the_arm_changes_the_picture(camera: Camera, view: View, motion: "Array") -> None:
+    assert changed(camera.picture(motion[0], view), camera.picture(motion[-1], view)).mean() > 0.02
+
+
+def test_line_colours_the_pixels_it_projects_to(camera: Camera, scene: "Scene", view: View, motion: "Array") -> None:
+    path = scene.arm.forward(motion)[:, :3]
+    plain, drawn = camera.picture(motion[-1], view), camera.picture(motion[-1], view, [Line(path, RED, 0.006)])
+    redder = drawn[..., 0].astype(int) - drawn[..., 1] > plain[..., 0].astype(int) - plain[..., 1] + 25
+    columns, rows = np.rint(view.pixels(path, SIZE, scene.model.vis.global_.fovy) - 0.5).astype(int).T
+    # All of it shows, also what is behind the arm.
+    assert redder[rows, columns].mean() > 0.95
+    rows_changed, columns_changed = np.nonzero(redder)
+    gap = np.hypot(rows_changed[:, None] - rows, columns_changed[:, None] - columns).min(axis=1)
+    assert np.median(gap) < 4
+
+
+def test_hidden_part_of_a_line_is_fainter_than_the_open_part(
+    camera: Camera, scene: "Scene", view: View, motion: "Array"
+) -> None:
+    # From the upper arm's inside to the open air above it.
+    scene.place(motion[-1])
+    inside = scene.data.xipos[scene.model.body("ur5/upper_arm_link").id].copy()
+    up = np.array([0.0, 0.0, 1.0])
+    image = camera.picture(motion[-1], view, [Line(np.array([inside, inside + 0.45 * up]), (0, 1, 0, 1), 0.008)])
+    ends = np.array([inside, inside + 0.40 * up])
+    (hidden_x, hidden_y), (open_x, open_y) = np.rint(view.pixels(ends, SIZE, 45.0)).astype(int)
+    greenness = image[..., 1].astype(int) - image[..., 0]
+    assert 10 < greenness[hidden_y, hidden_x] < greenness[open_y, open_x] - 20
+
+
+def test_sphere_is_drawn_where_it_is(camera: Camera, view: View, motion: "Array") -> None:
+    # Between the eye and the middle of the picture, so that nothing hides it.
+    center = view.eye + 0.3 * view.forward
+    image = camera.picture(motion[-1], view, spheres=[Sphere(center, RED, 0.02)])
+    middle = image[SIZE[1] // 2, SIZE[0] // 2].astype(int)
+    assert middle[0] > 120
+    assert middle[0] > 2 * middle[1]
+
+
+def test_ghost_is_fainter_than_the_arm(camera: Camera, view: View, motion: "Array") -> None:
+    plain, there = camera.picture(motion[-1], view), camera.picture(motion[0], view)
+    ghosted = camera.picture(motion[-1], view, ghosts=[Ghost(motion[0], 0.3)])
+    differs = changed(plain, there)
+    toward = np.abs(ghosted.astype(float) - plain).max(axis=2)[differs]
+    whole = np.abs(there.astype(float) - plain).max(axis=2)[differs]
+    assert (toward > 5).mean() > 0.2
+    assert np.all(toward <= 0.3 * whole + 2)
+
+
+def test_more_lines_than_there_is_room_for_are_thinned_not_refused(
+    camera: Camera, scene: "Scene", view: View, motion: "Array", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("koopdqn.robot.camera._MAX_GEOMS", 120)
+    path = scene.arm.forward(motion)[:, :3]
+    with Camera(scene, SIZE) as small:
+        plain, drawn = small.picture(motion[-1], view), small.picture(motion[-1], view, [Line(path, RED, 0.006)])
+    columns, rows = np.rint(view.pixels(path[[0, -1]], SIZE, 45.0) - 0.5).astype(int).T
+    assert changed(plain, drawn)[rows, columns].all()
+
+
+def test_rendering_that_fails_names_the_backend_and_the_doctor(
+    scene: "Scene", view: View, motion: "Array", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ImportError("Cannot initialize a EGL device display.\nMore words.")
+
+    monkeypatch.setattr(mujoco, "Renderer", broken)
+    monkeypatch.setenv(VARIABLE, "egl")
+    with pytest.raises(WorkFailedError, match=r"tried MUJOCO_GL=egl.*Cannot initialize.*koopdqn doctor") as caught:
+        render(scene, motion[-1], view, SIZE)
+    assert "\n" not in str(caught.value)

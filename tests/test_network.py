@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+import torch
+
+from koopdqn.dqn.network import QNetwork
+from koopdqn.dqn.settings import NetworkSettings
+
+PLAIN = NetworkSettings(hidden=(6, 4), fourier_features=0, length_scale_m=0.1)
+WAVES = NetworkSettings(hidden=(6,), fourier_features=8, length_scale_m=0.1)
+
+
+def network(settings: NetworkSettings, seed: int = 0, inputs: int = 5) -> QNetwork:
+    return QNetwork(inputs, settings, np.random.default_rng(seed))
+
+
+def seen(seed: int, count: int = 20) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, 5)).astype(np.float32)
+
+
+@pytest.mark.parametrize("settings", [PLAIN, WAVES])
+def test_the_generator_alone_decides_every_weight(settings: NetworkSettings) -> None:
+    torch.manual_seed(1)
+    first = network(settings).state_dict()
+    torch.manual_seed(2)
+    again, other = network(settings).state_dict(), network(settings, seed=1).state_dict()
+    for name, values in first.items():
+        assert torch.equal(values, again[name]), name
+    assert not torch.equal(first["layers.0.weight"], other["layers.0.weight"])
+
+
+def test_global_random_states_are_left_alone() -> None:
+    before = torch.get_rng_state()
+    legacy = np.random.get_state()[1].copy()  # noqa: NPY002 (the very thing that must stay untouched)
+    network(WAVES).values(seen(0))
+    assert torch.equal(torch.get_rng_state(), before)
+    np.testing.assert_array_equal(np.random.get_state()[1], legacy)  # noqa: NPY002 (as above)
+
+
+def test_it_computes_what_its_layers_say() -> None:
+    made = network(PLAIN)
+    state = {name: values.numpy() for name, values in made.state_dict().items()}
+    rows = seen(0).astype(np.float64)
+    for layer in (0, 2):
+        rows = np.maximum(rows @ state[f"layers.{layer}.weight"].T + state[f"layers.{layer}.bias"], 0)
+    wanted = rows @ state["layers.4.weight"].T + state["layers.4.bias"]
+    np.testing.assert_allclose(made.values(seen(0)), wanted, atol=1e-5)
+    assert wanted.shape == (20, 10)
+
+
+def test_observations_are_normalised_to_mean_and_spread() -> None:
+    made, plain = network(PLAIN), network(PLAIN)
+    data = (seen(1) * [2.0, 0.1, 5.0, 1.0, 0.0] + [1.0, 2.0, 3.0, 4.0, 5.0]).astype(np.float32)
+    made.normalise_to(data)
+    by_hand = (data - data.mean(axis=0)) / np.maximum(data.std(axis=0), 0.02)
+    np.testing.assert_allclose(made.values(data), plain.values(by_hand.astype(np.float32)), atol=1e-4)
+
+
+def test_the_features_follow_the_position_and_the_length_scale() -> None:
+    fine, coarse = (
+        network(WAVES.model_copy(update={"length_scale_m": scale})) for scale in (0.01, 1.0)
+    )
+    np.testing.assert_allclose(fine.frequencies.numpy(), 100 * coarse.frequencies.numpy(), rtol=1e-5)
+    assert fine.layers[0].in_features == 5 + 8
+    names = {name for name, _ in fine.named_parameters()}
+    assert "frequencies" not in names
+    assert "phases" not in names
+
+
+def test_each_row_is_valued_by_itself() -> None:
+    made = network(WAVES)
+    together = made.values(seen(3))
+    np.testing.assert_allclose(made.values(seen(3)[4:5]), together[4:5], atol=1e-5)

@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from koopdqn.dqn.replay import FIELDS, ReplayBuffer, Transitions
+
+
+def numbered(numbers: list[int]) -> Transitions:
+    """Transitions whose every field tells their number."""
+    n = np.array(numbers, dtype=np.int64)
+    column = n.astype(np.float32)
+    return Transitions(
+        observations=np.stack([column, -column], axis=1),
+        actions=n % 10,
+        rewards=column / 2,
+        following=np.stack([column + 0.5, column], axis=1),
+        terminated=n % 2 == 0,
+        truncated=n % 3 == 0,
+        undone=n % 5 == 0,
+    )
+
+
+def filled(capacity: int, sizes: list[int]) -> ReplayBuffer:
+    buffer, done = ReplayBuffer(capacity, 2), 0
+    for size in sizes:
+        buffer.add(numbered(list(range(done, done + size))))
+        done += size
+    return buffer
+
+
+def held(buffer: ReplayBuffer) -> set[int]:
+    return {int(number) for number in buffer.state()["observations"][:, 0]}
+
+
+sizes_lists = st.lists(st.integers(0, 9), min_size=1, max_size=8)
+
+
+@given(capacity=st.integers(1, 12), sizes=sizes_lists)
+def test_the_newest_are_kept_and_the_oldest_go(capacity: int, sizes: list[int]) -> None:
+    buffer, total = filled(capacity, sizes), sum(sizes)
+    assert buffer.added == total
+    assert len(buffer) == min(total, capacity)
+    assert held(buffer) == set(range(max(0, total - capacity), total))
+
+
+@given(capacity=st.integers(1, 12), sizes=sizes_lists.filter(sum), seed=st.integers(0, 100))
+def test_fields_of_a_transition_stay_together(capacity: int, sizes: list[int], seed: int) -> None:
+    drawn = filled(capacity, sizes).sample(np.random.default_rng(seed), 50)
+    wanted = numbered([int(number) for number in drawn.observations[:, 0]])
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(drawn, name), getattr(wanted, name))
+        assert getattr(drawn, name).dtype == getattr(wanted, name).dtype
+
+
+def test_every_held_transition_is_drawn_about_equally_often() -> None:
+    drawn = filled(10, [7, 6]).sample(np.random.default_rng(0), 20_000).observations[:, 0]
+    numbers, counts = np.unique(drawn, return_counts=True)
+    np.testing.assert_array_equal(numbers, np.arange(3, 13))
+    assert counts == pytest.approx(2000, rel=0.1)
+
+
+@given(capacity=st.integers(1, 12), sizes=sizes_lists.filter(sum), more=st.integers(0, 15))
+def test_a_restored_buffer_goes_on_as_the_old_one(capacity: int, sizes: list[int], more: int) -> None:
+    old, new = filled(capacity, sizes), ReplayBuffer(capacity, 2)
+    new.restore({name: values.copy() for name, values in old.state().items()})
+    for buffer in (old, new):
+        buffer.add(numbered(list(range(500, 500 + more))))
+    assert new.added == old.added
+    for name in FIELDS:
+        np.testing.assert_array_equal(new.state()[name], old.state()[name])
+    one, two = (buffer.sample(np.random.default_rng(1), 20) for buffer in (old, new))
+    np.testing.assert_array_equal(one.observations, two.observations)
+
+
+def test_the_state_is_a_copy() -> None:
+    buffer = filled(4, [3])
+    buffer.state()["rewards"][:] = 99
+    assert buffer.sample(np.random.default_rng(0), 30).rewards.max() < 99

@@ -1,0 +1,172 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import Parts
+
+from koopdqn import pose
+from koopdqn.environment.actions import legal_actions, reached_poses
+from koopdqn.environment.compare import within_tolerance
+from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
+from koopdqn.intent.fitting import Fitted
+from koopdqn.pose import Array
+
+SIGN = RewardSettings(shape="sign", prediction="rescaled", doubt=0.0, size=1.0, goal=0.0)
+AXES = np.array([4, 5, 6, 7, 8, 9])
+
+
+def reward_with(base: IntentReward, **fields: object) -> IntentReward:
+    return IntentReward(base.task, base.model, base.trust, base.settings.model_copy(update=fields))
+
+
+def beside(trajectories: list[Array], seed: int, count: int, spread: float) -> tuple[Array, np.ndarray]:
+    """Poses near demonstrated ones, with their steps."""
+    rng = np.random.default_rng(seed)
+    steps = rng.integers(0, min(len(rows) for rows in trajectories), count)
+    poses = np.array([trajectories[rng.integers(len(trajectories))][step] for step in steps])
+    poses[:, :3] += spread * rng.normal(size=(count, 3))
+    return poses, steps
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 1000), spread=st.floats(0, 0.02))
+def test_the_sign_rule_is_the_papers(
+    reward: IntentReward, trajectories: list[Array], seed: int, spread: float
+) -> None:
+    """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
+    poses, steps = beside(trajectories, seed, 20, spread)
+    for prediction in ("raw", "rescaled"):
+        judged = reward_with(reward, shape="sign", prediction=prediction, doubt=0.0, goal=0.0).judge(poses, steps)
+        wished = (
+            reward.model.predict(poses)
+            if prediction == "raw"
+            else reward.model.preferred(poses, reward.task.step_m)
+        )
+        np.testing.assert_array_equal(judged.predicted, wished)
+        right = within_tolerance(judged.reached, wished[:, None], reward.task) & legal_actions(reward.task)
+        np.testing.assert_array_equal(judged.reward, np.where(right, 1.0, -1.0))
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 1000), spread=st.floats(0, 0.02), size=st.floats(0.1, 3))
+def test_the_margin_has_the_same_sign_and_is_bounded(
+    reward: IntentReward, trajectories: list[Array], seed: int, spread: float, size: float
+) -> None:
+    poses, steps = beside(trajectories, seed, 20, spread)
+    signed = reward_with(reward, shape="sign", size=size, goal=0.0).judge(poses, steps).reward
+    margin = reward_with(reward, shape="margin", size=size, goal=0.0).judge(poses, steps).reward
+    np.testing.assert_array_equal(margin >= 0, signed >= 0)
+    assert np.abs(margin).max() <= size
+    np.testing.assert_allclose(np.abs(signed), size)
+
+
+def test_a_larger_margin_is_nearer_to_the_prediction(reward: IntentReward, trajectories: list[Array]) -> None:
+    poses, steps = beside(trajectories, 0, 30, 0.002)
+    judged = reward_with(reward, shape="margin", goal=0.0).judge(poses, steps)
+    distance = pose.position_distance(judged.reached, judged.predicted[:, None])
+    for row in range(len(poses)):
+        order = np.argsort(distance[row, AXES])
+        assert np.all(np.diff(judged.reward[row, AXES][order]) <= 1e-12)
+
+
+def test_actions_named_for_rotation_are_wrong_by_rule_where_orientation_is_held(
+    reward: IntentReward, trajectories: list[Array]
+) -> None:
+    poses, steps = beside(trajectories, 1, 30, 0.001)
+    judged = reward.judge(poses, steps)
+    for action in (0, 2, 3):
+        np.testing.assert_array_equal(judged.reward[:, action], -reward.settings.size)
+        np.testing.assert_array_equal(judged.source[:, action], RULE)
+        assert judged.known[:, action].all()
+
+
+def test_an_action_that_changes_nothing_is_wrong_even_at_the_goal(reward: IntentReward) -> None:
+    judged = reward.judge(reward.task.goal[None], np.array([500]))
+    assert pose.position_distance(judged.reached[0, 1], reward.task.goal) == 0
+    assert judged.reward[0, 1] == -reward.settings.size
+    assert judged.source[0, 1] == RULE
+
+
+def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, trajectories: list[Array]) -> None:
+    poses, steps = beside(trajectories, 2, 100, 0.02)
+    judged = reward.judge(poses, steps)
+    np.testing.assert_array_equal(judged.known, judged.source != ASKED)
+    assert set(np.unique(judged.source)) == {RULE, TRUSTED, ASKED}
+    assert SOURCES == ("rule", "trusted", "asked")
+
+
+@pytest.mark.parametrize("needs", ["reached", "both"])
+def test_what_must_be_trusted_is_the_reached_state_or_both(
+    reward: IntentReward, trajectories: list[Array], needs: str
+) -> None:
+    settings_ = reward.trust.settings.model_copy(update={"needs": needs})
+    trust = replace(reward.trust, settings=settings_)
+    judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
+    poses, steps = data
+    here = trust.inside(poses, steps)
+    there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
+    wanted = there if needs == "reached" else there & here[:, None]
+    trusted = judged.source[:, AXES] == TRUSTED
+    np.testing.assert_array_equal(trusted, wanted[:, AXES])
+    assert (there & ~here[:, None])[:, AXES].any(), "some case must tell the two apart"
+
+
+def test_the_step_that_is_asked_of_the_trust_domain_is_the_reached_ones(
+    reward: IntentReward, paper: Parts, trajectories: list[Array]
+) -> None:
+    from koopdqn.intent.trust import TrustDomain
+
+    errors = [np.zeros((len(rows) - 1, 2)) for rows in trajectories]
+    by_step = TrustDomain.fit(trajectories, errors, reward.task.frame, paper.trust)
+    judge = IntentReward(reward.task, reward.model, by_step, SIGN).judge
+    poses = trajectories[0][40:41]
+    judged = judge(poses, np.array([40]))
+    inside = [by_step.inside(judged.reached[:, action], np.array([41]))[0] for action in AXES]
+    np.testing.assert_array_equal(judged.source[0, AXES] == TRUSTED, inside)
+    assert any(inside)
+    assert not (judge(poses, np.array([120])).source[0, AXES] == TRUSTED).any()
+
+
+def test_doubt_leaves_the_best_action_and_the_clear_ones(reward: IntentReward, trajectories: list[Array]) -> None:
+    poses, steps = trajectories[0][:150], np.arange(150)
+    sure = reward_with(reward, doubt=0.0, shape="margin", goal=0.0).judge(poses, steps)
+    doubting = reward_with(reward, doubt=0.3, shape="margin", goal=0.0).judge(poses, steps)
+    np.testing.assert_array_equal(sure.reward, doubting.reward)
+    dropped = (sure.source == TRUSTED) & (doubting.source == ASKED)
+    assert dropped.any()
+    assert np.abs(sure.reward[dropped]).max() < 0.3
+    best = sure.reward[:, 1:].argmax(axis=1) + 1
+    rows = np.arange(len(poses))
+    np.testing.assert_array_equal(doubting.source[rows, best], sure.source[rows, best])
+    np.testing.assert_array_equal(doubting.source[np.abs(sure.reward) > 0.3], sure.source[np.abs(sure.reward) > 0.3])
+
+
+def test_reaching_the_goal_rightly_is_worth_more(reward: IntentReward) -> None:
+    bonus = 0.75
+    near = reward.task.goal[None].copy()
+    near[0, 0] -= reward.task.goal_tolerance_m + 0.5 * reward.task.step_m
+    given_ = reward_with(reward, shape="sign", goal=bonus).judge(near, np.array([200]))
+    without = reward_with(reward, shape="sign", goal=0.0).judge(near, np.array([200]))
+    difference = given_.reward - without.reward
+    right_there = given_.at_goal & (without.reward >= 0)
+    assert right_there.any()
+    np.testing.assert_allclose(difference[right_there], bonus)
+    np.testing.assert_array_equal(difference[~right_there], 0.0)
+    reached = reached_poses(near, reward.task)
+    np.testing.assert_array_equal(given_.at_goal[0], reward.task.reached(reached[0]))
+
+
+def test_answers_are_worth_what_predictions_are(reward: IntentReward) -> None:
+    worth = reward_with(reward, size=2.0, goal=0.5).value
+    assert worth(True, False) == 2.0
+    assert worth(True, True) == 2.5
+    assert worth(False, False) == worth(False, True) == -2.0
+
+
+def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, fitted: Fitted, trajectories: list[Array]) -> None:
+    for rows in trajectories[:2]:
+        judged = reward.judge(rows[:-2], np.arange(len(rows) - 2))
+        assert (judged.reward >= 0).any(axis=1).all()
+    assert fitted.trust is reward.trust

@@ -1,0 +1,50 @@
+import numpy as np
+from parts import Parts
+
+from koopdqn.environment.actions import reached_poses
+from koopdqn.environment.compare import within_tolerance
+from koopdqn.feedback.oracle import Oracle, Question
+from koopdqn.feedback.scripted import ScriptedOracle, ScriptedOracleSettings, demonstrator_agrees
+from koopdqn.pose import Array
+from koopdqn.tasks.shelf import ShelfTask
+
+
+def question(at: Array, action: int, reached: Array) -> Question:
+    return Question(0, 0, at, action, reached, reached, "")
+
+
+def test_it_says_right_where_the_demonstrator_would_be_within_tolerance(shelf_task: ShelfTask) -> None:
+    oracle = ScriptedOracle(shelf_task)
+    starts = shelf_task.draw_starts(np.random.default_rng(0), 30)
+    reached = reached_poses(starts, shelf_task)
+    wished = shelf_task.demonstrator.next_pose(starts)
+    answers = set()
+    for row, start in enumerate(starts):
+        for action in range(10):
+            answer = oracle.answer(question(start, action, reached[row, action]))
+            assert answer.right == within_tolerance(reached[row, action], wished[row], shelf_task)
+            answers.add(answer.right)
+    assert answers == {True, False}
+
+
+def test_where_the_demonstrator_goes_is_right_and_standing_still_is_wrong(shelf_task: ShelfTask) -> None:
+    poses = shelf_task.draw_starts(np.random.default_rng(1), 40)
+    assert demonstrator_agrees(shelf_task, poses, shelf_task.demonstrator.next_pose(poses)).all()
+    assert not demonstrator_agrees(shelf_task, poses, poses).any()
+
+
+def test_some_legal_action_is_right_from_anywhere(shelf_task: ShelfTask) -> None:
+    poses = shelf_task.draw_starts(np.random.default_rng(2), 100)
+    reached = reached_poses(poses, shelf_task)
+    right = [demonstrator_agrees(shelf_task, poses, reached[:, action]) for action in (1, 4, 5, 6, 7, 8, 9)]
+    assert np.any(right, axis=0).all()
+
+
+def test_the_same_question_has_the_same_answer_whatever_the_seed(parts: Parts) -> None:
+    settings = ScriptedOracleSettings(name="expert")
+    start = parts.task.nominal_start
+    asked = question(start, 4, reached_poses(start[None], parts.task)[0, 4])
+    one, other = (settings.open(parts.task, seed) for seed in (0, 1))
+    assert one.answer(asked) == other.answer(asked) == one.answer(asked)
+    assert one.answer(asked).source == "expert"
+    assert isinstance(one, Oracle)

@@ -1,0 +1,195 @@
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from koopdqn import pose
+from koopdqn.intent.fitting import Fitted
+from koopdqn.intent.trust import COMPONENTS, TrustDomain, TrustSettings
+from koopdqn.pose import Array
+from koopdqn.tasks.shelf import ShelfTask
+
+Matching = Literal["step", "any"]
+FRAME = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0]])
+MATCHINGS: list[Matching] = ["step", "any"]
+
+
+def settings(matching: Matching, sigmas: float = 3.0, floor: float = 0.002) -> TrustSettings:
+    return TrustSettings(
+        matching=matching,
+        sigmas=sigmas,
+        position_floor_m=floor,
+        rotation_floor_rad=5 * floor,
+        error_limit_m=0.001,
+        error_limit_rad=0.01,
+        needs="both",
+    )
+
+
+def lines(offsets: list[float], count: int = 11) -> list[Array]:
+    """Parallel straight trajectories along x, a sample a centimetre, at offsets [m] along y."""
+    x = 0.01 * np.arange(count)
+    return [pose.make(np.stack([x, np.full(count, y), np.zeros(count)], axis=1), FRAME[0]) for y in offsets]
+
+
+def no_errors(trajectories: list[Array]) -> list[Array]:
+    return [np.zeros((len(trajectory) - 1, 2)) for trajectory in trajectories]
+
+
+def domain(matching: Matching, sigmas: float = 3.0, errors: list[Array] | None = None) -> TrustDomain:
+    shown = lines([-0.004, 0.0, 0.004])
+    return TrustDomain.fit(shown, errors or no_errors(shown), FRAME, settings(matching, sigmas))
+
+
+def at(x: float, y: float = 0.0, z: float = 0.0, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
+    return pose.make([x, y, z], pose.from_roll_pitch_yaw(turn))[None]
+
+
+@pytest.mark.parametrize("matching", MATCHINGS)
+def test_mean_and_deviation_are_those_of_each_step(matching: Matching) -> None:
+    drawn = domain(matching)
+    np.testing.assert_allclose(drawn.mean[:, 0], 0.01 * np.arange(11), atol=1e-9)
+    np.testing.assert_allclose(drawn.mean[:, 1:], 0.0, atol=1e-12)
+    np.testing.assert_allclose(drawn.deviation[:, 1], np.std([-0.004, 0.0, 0.004]), atol=1e-9)
+    np.testing.assert_allclose(drawn.deviation[:, [0, 2]], 0.002)
+    np.testing.assert_allclose(drawn.deviation[:, 3:], 0.01)
+
+
+@pytest.mark.parametrize("matching", MATCHINGS)
+def test_demonstrated_states_are_inside(matching: Matching) -> None:
+    drawn = domain(matching)
+    for trajectory in lines([-0.004, 0.0, 0.004]):
+        assert drawn.inside(trajectory, np.arange(11)).all()
+
+
+def test_nearly_every_demonstrated_state_of_the_shelf_is_inside(
+    fitted: Fitted, trajectories: list[Array], shelf_task: ShelfTask
+) -> None:
+    inside = [fitted.trust.inside(rows, np.arange(len(rows))).mean() for rows in trajectories]
+    assert np.mean(inside) > 0.95
+    far = shelf_task.draw_starts(np.random.default_rng(0), 50)
+    far[:, 2] += 0.3
+    assert not fitted.trust.inside(far, np.zeros(50, dtype=int)).any()
+
+
+@pytest.mark.parametrize("matching", MATCHINGS)
+@pytest.mark.parametrize(
+    ("point", "name"),
+    [
+        (at(0.05, 0.05), "y"),
+        (at(0.05, 0.0, -0.019), "z"),
+        (at(0.5), "x"),
+        (at(0.05, turn=(0.09, 0.0, 0.0)), "roll"),
+        (at(0.05, turn=(0.0, -0.09, 0.0)), "pitch"),
+        (at(0.05, turn=(0.0, 0.0, 0.09)), "yaw"),
+    ],
+)
+def test_states_far_off_in_any_component_are_outside_and_the_component_is_named(
+    matching: Matching, point: Array, name: str
+) -> None:
+    drawn = domain(matching)
+    assert not drawn.inside(point, np.array([5]))[0]
+    assert drawn.outside(point[0], 5).startswith(f"{name} is ")
+    assert "limit 3" in drawn.outside(point[0], 5)
+
+
+@given(
+    matching=st.sampled_from(MATCHINGS),
+    sigmas=st.floats(0.1, 5),
+    more=st.floats(1.0, 3),
+    seed=st.integers(0, 1000),
+)
+def test_more_sigmas_never_trust_less(matching: Matching, sigmas: float, more: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = pose.make(
+        rng.uniform([-0.02, -0.02, -0.02], [0.12, 0.02, 0.02], (50, 3)),
+        pose.from_rotation_vector(0.02 * rng.normal(size=(50, 3))),
+    )
+    steps = rng.integers(0, 14, 50)
+    narrow, wide = (domain(matching, k).inside(points, steps) for k in (sigmas, sigmas * more))
+    assert np.all(wide | ~narrow)
+
+
+@given(x=st.floats(-0.03, 0.13), step=st.integers(0, 20))
+def test_matching_by_step_asks_for_that_step_and_matching_any_for_none(x: float, step: int) -> None:
+    point, steps = at(x), np.array([step])
+    # A floor of 2 mm, three times, at means a centimetre apart.
+    mean = 0.01 * min(step, 10)
+    if abs(abs(x - mean) - 0.006) > 1e-9:
+        assert domain("step").inside(point, steps)[0] == (abs(x - mean) <= 0.006)
+    nearest = np.abs(x - 0.01 * np.arange(11)).min()
+    if abs(nearest - 0.006) > 1e-9:
+        assert domain("any").inside(point, steps)[0] == (nearest <= 0.006)
+
+
+def test_matching_by_step_takes_the_demonstrations_that_have_the_step() -> None:
+    short, long = lines([0.0], 6)[0], lines([0.01], 11)[0]
+    drawn = TrustDomain.fit([short, long], no_errors([short, long]), FRAME, settings("step"))
+    np.testing.assert_allclose(drawn.mean[:6, 1], 0.005)
+    np.testing.assert_allclose(drawn.mean[6:, 1], 0.01)
+    np.testing.assert_allclose(drawn.deviation[:6, 1], 0.005)
+
+
+def test_matching_any_aligns_demonstrations_of_different_length() -> None:
+    slow, fast = lines([0.0], 11)[0], lines([0.0], 11)[0][::2]
+    drawn = TrustDomain.fit([slow, fast], no_errors([slow, fast]), FRAME, settings("any"))
+    np.testing.assert_allclose(drawn.mean[:, 0], 0.01 * np.arange(11), atol=1e-9)
+    np.testing.assert_allclose(drawn.deviation[:, 0], 0.002)
+
+
+@pytest.mark.parametrize("matching", MATCHINGS)
+@pytest.mark.parametrize("column", [0, 1])
+def test_where_the_model_errs_nothing_is_trusted(matching: Matching, column: int) -> None:
+    errors = no_errors(lines([0, 0, 0]))
+    errors[1][5, column] = 0.5
+    drawn = domain(matching, 2.0, errors)
+    assert drawn.known.tolist() == [t != 5 for t in range(11)]
+    point = at(0.05)
+    assert not drawn.inside(point, np.array([5]))[0]
+    assert "held-out error" in drawn.outside(point[0], 5)
+    assert drawn.inside(at(0.08), np.array([8]))[0]
+
+
+@given(
+    matching=st.sampled_from(MATCHINGS),
+    x=st.floats(-0.05, 0.15),
+    y=st.floats(-0.03, 0.03),
+    roll=st.floats(-0.1, 0.1),
+    step=st.integers(0, 15),
+)
+def test_a_reason_is_given_exactly_where_trust_ends(
+    matching: Matching, x: float, y: float, roll: float, step: int
+) -> None:
+    errors = no_errors(lines([0, 0, 0]))
+    errors[0][3] = 0.5
+    drawn = domain(matching, 3.0, errors)
+    point = at(x, y, turn=(roll, 0.0, 0.0))
+    reason = drawn.outside(point[0], step)
+    assert (reason == "") == bool(drawn.inside(point, np.array([step]))[0])
+    if reason:
+        assert reason.split()[0] in COMPONENTS or "held-out error" in reason
+
+
+@pytest.mark.parametrize("matching", MATCHINGS)
+def test_without_a_floor_and_without_spread_the_reason_is_still_the_distance(matching: Matching) -> None:
+    same = lines([0.0, 0.0])
+    drawn = TrustDomain.fit(same, no_errors(same), FRAME, settings(matching, floor=0.0))
+    point = at(0.05, 0.001)
+    assert not drawn.inside(point, np.array([5]))[0]
+    assert drawn.outside(point[0], 5).startswith("y is ")
+
+
+def test_angles_are_those_in_the_frame() -> None:
+    """Upside down in the base but still in the frame: no singularity and no wrap near the goal's orientation."""
+    left = pose.from_rotation_vector([0.0, np.pi / 2, 0.0])
+    frame = np.array([left, FRAME[0]])
+    rng = np.random.default_rng(0)
+    shown = []
+    for trajectory in lines([0.0, 0.001, 0.002]):
+        turns = pose.from_rotation_vector(0.01 * rng.normal(size=(len(trajectory), 3)))
+        shown.append(pose.make(trajectory[:, :3], pose.multiply(left, turns)))
+    drawn = TrustDomain.fit(shown, no_errors(shown), frame, settings("step"))
+    assert np.abs(drawn.mean[:, 3:]).max() < 0.05
+    assert drawn.inside(pose.make([0.05, 0.001, 0.0], left)[None], np.array([5]))[0]
