@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console, RenderableType
@@ -122,3 +123,8 @@ def _tagged(tag: str, style: str, message: str) -> None:
 
 def _one_line(message: str) -> str:
     return " ".join(message.split())
+
+
+def shown_path(path: Path) -> str:
+    """Return a path for people: relative to the working folder where it lies below it."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)

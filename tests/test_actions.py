@@ -96,9 +96,7 @@ def test_for_any_wished_direction_some_legal_action_is_within_tolerance(
         assert (right & legal_actions(task)).any()
 
 
-@given(
-    off=st.floats(0, 0.01), turned=st.floats(0, 0.05), direction=unit_vectors, axis=unit_vectors
-)
+@given(off=st.floats(0, 0.01), turned=st.floats(0, 0.05), direction=unit_vectors, axis=unit_vectors)
 def test_comparing_keeps_metres_and_radians_apart(
     shelf_task: ShelfTask, off: float, turned: float, direction: Array, axis: Array
 ) -> None:

@@ -16,8 +16,15 @@ json_values = st.recursive(
 )
 
 
-class _Broken(Exception):
+class _BrokenError(Exception):
     """Anything that goes wrong while a file is written."""
+
+
+def _fail_half_way(path: Path, error: type[BaseException]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text("half of the n")
+        assert path.read_text() == "old"
+        raise error
 
 
 def test_a_file_appears_whole_in_a_folder_made_for_it(tmp_path: Path) -> None:
@@ -27,15 +34,13 @@ def test_a_file_appears_whole_in_a_folder_made_for_it(tmp_path: Path) -> None:
     assert [item.name for item in path.parent.iterdir()] == ["text.txt"]
 
 
-@pytest.mark.parametrize("error", [_Broken, KeyboardInterrupt, OSError])
+@pytest.mark.parametrize("error", [_BrokenError, KeyboardInterrupt, OSError])
 def test_a_failure_keeps_the_old_file_and_leaves_no_part(tmp_path: Path, error: type[BaseException]) -> None:
     path = tmp_path / "text.txt"
     path.write_text("old")
     raised: type[BaseException] = BadInputError if error is OSError else error
-    with pytest.raises(raised), atomic_path(path) as temporary:
-        temporary.write_text("half of the n")
-        assert path.read_text() == "old"
-        raise error
+    with pytest.raises(raised):
+        _fail_half_way(path, error)
     assert path.read_text() == "old"
     assert [item.name for item in tmp_path.iterdir()] == ["text.txt"]
 

@@ -19,8 +19,8 @@ def lines_to_the_goal(parts: Parts, sideways: list[float], steps: int = 12) -> D
     goal = parts.task.goal
     shown = []
     for y in sideways:
-        end = goal[:3] + [0.0, y, 0.0]
-        start = end - [steps * parts.task.step_m, 0.0, 0.0]
+        end = goal[:3] + np.array([0.0, y, 0.0])
+        start = end - np.array([steps * parts.task.step_m, 0.0, 0.0])
         shown.append(straight_poses(start, end, 3 * steps + 1, goal[3:]))
     return as_demonstrations("shelf", shown)
 

@@ -29,9 +29,7 @@ def test_demonstrations_from_one_start_differ_as_people_do(workcell: Workcell, p
         assert 0.005 <= hausdorff(a.poses, b.poses) <= 0.015
 
 
-def test_the_seed_fixes_everything(
-    workcell: Workcell, parts: Parts, demonstrations: Demonstrations
-) -> None:
+def test_the_seed_fixes_everything(workcell: Workcell, parts: Parts, demonstrations: Demonstrations) -> None:
     again = generate(parts.task, workcell.reachability, parts.demo, 0).demonstrations
     other = generate(parts.task, workcell.reachability, parts.demo, 1).demonstrations
     assert again.digest() == demonstrations.digest() != other.digest()

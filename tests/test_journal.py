@@ -14,7 +14,9 @@ from koopdqn.feedback.oracle import Answer, Question
 
 def question(number: int) -> Question:
     rng = np.random.default_rng(number)
-    return Question(number // 3, number % 3, rng.normal(size=7), number % 10, rng.normal(size=7), rng.normal(size=7), "far")
+    return Question(
+        number // 3, number % 3, rng.normal(size=7), number % 10, rng.normal(size=7), rng.normal(size=7), "far"
+    )
 
 
 def thirds(asked: Question) -> bool | None:

@@ -142,7 +142,12 @@ def test_value_flows_back_from_a_later_reward(agent: AgentSettings) -> None:
     for _ in range(500):
         made.update(
             batch(
-                0, 60, observations=states[index], actions=actions, rewards=rewards, following=states[index + 1],
+                0,
+                60,
+                observations=states[index],
+                actions=actions,
+                rewards=rewards,
+                following=states[index + 1],
                 terminated=index == 2,
             )
         )

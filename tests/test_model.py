@@ -63,9 +63,7 @@ def test_rolling_out_is_predicting_again_and_again(fitted: Fitted, parts: Parts)
     np.testing.assert_array_equal(rescaled[3], fitted.model.preferred(rescaled[2], 0.002))
 
 
-def test_the_papers_model_is_uncentred_and_of_demonstrated_pairs_alone(
-    paper: Parts, trajectories: list[Array]
-) -> None:
+def test_the_papers_model_is_uncentred_and_of_demonstrated_pairs_alone(paper: Parts, trajectories: list[Array]) -> None:
     model = IntentModel.fit(trajectories, paper.task, paper.intent).position
     np.testing.assert_array_equal(model.center, 0.0)
     assert model.scale == 1.0

@@ -30,10 +30,10 @@ def test_the_generator_alone_decides_every_weight(settings: NetworkSettings) -> 
 
 def test_global_random_states_are_left_alone() -> None:
     before = torch.get_rng_state()
-    legacy = np.random.get_state()[1].copy()  # noqa: NPY002 (the very thing that must stay untouched)
+    legacy = np.random.get_state()[1].copy()
     network(WAVES).values(seen(0))
     assert torch.equal(torch.get_rng_state(), before)
-    np.testing.assert_array_equal(np.random.get_state()[1], legacy)  # noqa: NPY002 (as above)
+    np.testing.assert_array_equal(np.random.get_state()[1], legacy)
 
 
 def test_it_computes_what_its_layers_say() -> None:
@@ -56,9 +56,7 @@ def test_observations_are_normalised_to_mean_and_spread() -> None:
 
 
 def test_the_features_follow_the_position_and_the_length_scale() -> None:
-    fine, coarse = (
-        network(WAVES.model_copy(update={"length_scale_m": scale})) for scale in (0.01, 1.0)
-    )
+    fine, coarse = (network(WAVES.model_copy(update={"length_scale_m": scale})) for scale in (0.01, 1.0))
     np.testing.assert_allclose(fine.frequencies.numpy(), 100 * coarse.frequencies.numpy(), rtol=1e-5)
     assert fine.layers[0].in_features == 5 + 8
     names = {name for name, _ in fine.named_parameters()}

@@ -31,9 +31,7 @@ def test_a_path_passes_its_waypoints_from_first_to_last(waypoints: list[tuple[fl
 
 @settings(max_examples=25)
 @given(waypoint_lists, st.floats(5e-4, 5e-3))
-def test_points_are_evenly_spaced_along_the_curve(
-    waypoints: list[tuple[float, float, float]], spacing: float
-) -> None:
+def test_points_are_evenly_spaced_along_the_curve(waypoints: list[tuple[float, float, float]], spacing: float) -> None:
     path = SmoothPath.through(waypoints, spacing)
     gaps = np.linalg.norm(np.diff(path.points, axis=0), axis=1)
     # A chord is never longer than its arc, and hardly shorter where the curve is smooth at this scale.

@@ -80,5 +80,5 @@ def test_arrays_that_do_not_fit_the_settings_are_refused(path: Path, parts: Part
 
 
 def test_a_policy_that_is_missing_is_refused(tmp_path: Path, parts: Parts) -> None:
-    with pytest.raises(BadInputError, match="policy file .* must exist"):
+    with pytest.raises(BadInputError, match=r"policy file .* must exist"):
         read_policy(tmp_path / "none.safetensors", parts.task)

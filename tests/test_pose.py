@@ -33,9 +33,7 @@ def same_rotation(a: Array, b: Array, tolerance: float = 1e-12) -> bool:
 @given(quaternions, quaternions, quaternions)
 def test_rotations_form_a_group(a: Array, b: Array, c: Array) -> None:
     one = np.array([1.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(
-        pose.multiply(pose.multiply(a, b), c), pose.multiply(a, pose.multiply(b, c)), atol=1e-14
-    )
+    np.testing.assert_allclose(pose.multiply(pose.multiply(a, b), c), pose.multiply(a, pose.multiply(b, c)), atol=1e-14)
     np.testing.assert_array_equal(pose.multiply(a, one), a)
     np.testing.assert_array_equal(pose.multiply(one, a), a)
     np.testing.assert_allclose(pose.multiply(a, pose.conjugate(a)), one, atol=1e-15)

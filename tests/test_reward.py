@@ -10,7 +10,6 @@ from koopdqn import pose
 from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
-from koopdqn.intent.fitting import Fitted
 from koopdqn.pose import Array
 
 SIGN = RewardSettings(shape="sign", prediction="rescaled", doubt=0.0, size=1.0, goal=0.0)
@@ -32,17 +31,13 @@ def beside(trajectories: list[Array], seed: int, count: int, spread: float) -> t
 
 @settings(max_examples=25)
 @given(seed=st.integers(0, 1000), spread=st.floats(0, 0.02))
-def test_the_sign_rule_is_the_papers(
-    reward: IntentReward, trajectories: list[Array], seed: int, spread: float
-) -> None:
+def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Array], seed: int, spread: float) -> None:
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
     poses, steps = beside(trajectories, seed, 20, spread)
     for prediction in ("raw", "rescaled"):
         judged = reward_with(reward, shape="sign", prediction=prediction, doubt=0.0, goal=0.0).judge(poses, steps)
         wished = (
-            reward.model.predict(poses)
-            if prediction == "raw"
-            else reward.model.preferred(poses, reward.task.step_m)
+            reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
         )
         np.testing.assert_array_equal(judged.predicted, wished)
         right = within_tolerance(judged.reached, wished[:, None], reward.task) & legal_actions(reward.task)
@@ -165,8 +160,7 @@ def test_answers_are_worth_what_predictions_are(reward: IntentReward) -> None:
     assert worth(False, False) == worth(False, True) == -2.0
 
 
-def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, fitted: Fitted, trajectories: list[Array]) -> None:
+def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, trajectories: list[Array]) -> None:
     for rows in trajectories[:2]:
         judged = reward.judge(rows[:-2], np.arange(len(rows) - 2))
         assert (judged.reward >= 0).any(axis=1).all()
-    assert fitted.trust is reward.trust

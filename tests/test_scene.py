@@ -1,5 +1,3 @@
-from typing import Literal
-
 import numpy as np
 import pytest
 from parts import Parts
@@ -15,10 +13,6 @@ from koopdqn.workcell import Workcell
 
 class _NegativeBox(ShelfTask):
     """A shelf that MuJoCo cannot compile."""
-
-    @property
-    def orientation(self) -> Literal["held"]:
-        return "held"
 
     def furnish(self, scene: SceneBuilder) -> None:
         scene.furniture_box("impossible", (0, 0, 0), (-1.0, 0.1, 0.1), (1, 1, 1, 1))

@@ -59,9 +59,7 @@ unit_axes = (
 def test_the_rule_is_about_tilt_from_upright_and_not_about_turning_round_the_upright(
     shelf_task: ShelfTask, axis: np.ndarray, angle: float
 ) -> None:
-    turned = pose.make(
-        shelf_task.goal[:3], pose.multiply(pose.from_rotation_vector(angle * axis), shelf_task.goal[3:])
-    )
+    turned = pose.make(shelf_task.goal[:3], pose.multiply(pose.from_rotation_vector(angle * axis), shelf_task.goal[3:]))
     before, after = (pose.rotate(q, [1.0, 0.0, 0.0]) for q in (shelf_task.goal[3:], turned[3:]))
     # The independent measure: half the chord between the two axes is the sine of half the tilt.
     tilt = 2 * np.arcsin(0.5 * np.linalg.norm(after - before))

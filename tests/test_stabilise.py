@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from koopdqn.intent.stabilise import Stabilisation, surrounded
 from koopdqn.pose import Array
 
-
 PULL_BACK = 0.015
 
 

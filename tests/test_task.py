@@ -78,7 +78,7 @@ def test_a_tilt_without_a_turn_gives_poses_or_is_refused(shelf_task: ShelfTask) 
 
 @pytest.mark.parametrize(("off_m", "off_rad"), [(0.9, 0.9), (1.1, 0.0), (0.0, 1.1), (0.0, 0.0)])
 def test_the_goal_is_reached_within_both_tolerances(shelf_task: ShelfTask, off_m: float, off_rad: float) -> None:
-    position = shelf_task.goal[:3] + [0, off_m * shelf_task.goal_tolerance_m, 0]
+    position = shelf_task.goal[:3] + np.array([0, off_m * shelf_task.goal_tolerance_m, 0])
     turn = pose.from_rotation_vector([0, 0, off_rad * shelf_task.goal_rotation_tolerance_rad])
     near = pose.make(position, pose.multiply(turn, shelf_task.goal[3:]))
     assert shelf_task.reached(near[None])[0] == (off_m <= 1 and off_rad <= 1)

@@ -21,11 +21,16 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     """
     if command not in COMMANDS:
         raise unknown_name("command", command, COMMANDS)
+    import logging
     from importlib import import_module
 
-    from koopdqn.commands.configuration import Configuration
     from koopdqn.robot.rendering_backend import prepare_rendering
 
+    # MuJoCo chooses its backend at its first import, and dm_control and OpenGL announce the choice at length.
     prepare_rendering()
+    for chatty in ("absl", "OpenGL"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
+    from koopdqn.commands.configuration import Configuration
+
     result: CommandResult = import_module(f"koopdqn.commands.{command}").run(Configuration.load(config), folder)
     return result

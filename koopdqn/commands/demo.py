@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
 from koopdqn.demonstrations.hdf5 import write_hdf5
@@ -17,10 +18,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     demonstrations, redrawn = stages.new_demonstrations(config, workcell)
     path = folder / stages.DEMONSTRATIONS
     write_hdf5(path, demonstrations)
-    last = demonstrations.items[-1]
     paths = [item.poses[:, POSITION] for item in demonstrations.items]
-    joints = workcell.reachability.enter(config.task.goal).joints if last.joints is None else last.joints[-1]
-    image = None if joints is None else stages.picture(workcell.scene, joints, paths, config)
+    image = stages.picture(workcell.scene, demonstrations.items[0].joints, paths)
     plot_demonstrations(folder / "demos.png", demonstrations, config.task, image)
     result = {
         "task": config.task.name,
@@ -37,7 +36,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         result,
         [
             f"{len(demonstrations)} demonstrations of task {config.task.name}, {total} samples",
-            f"demonstrations  {path}",
-            f"picture         {folder / 'demos.png'}",
+            f"demonstrations  {console.shown_path(path)}",
+            f"picture         {console.shown_path(folder / 'demos.png')}",
         ],
     )

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from rich.console import RenderableType
+
 from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
@@ -19,8 +21,9 @@ from koopdqn.rollout import SUCCESS
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
     from koopdqn.dqn.policy import read_policy
-    from koopdqn.evaluation.evaluate import evaluate, table
+    from koopdqn.evaluation.evaluate import evaluate, table, work_units
     from koopdqn.plots.evaluation import plot_evaluation
+    from koopdqn.plots.style import LEARNED
 
     source = config.inputs.run
     if source is None:
@@ -34,7 +37,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     step_limit = int(read_json(source / REPORT, "the training report")["step_limit"])
     workcell = stages.open_scene(config)
-    with console.stage("Evaluating") as stage:
+    with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
             policy,
@@ -43,24 +46,24 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             agent_steps(demonstrations, config.task),
             config.eval,
             step_limit,
-            lambda done: stage.advance(done),
+            stage.advance,
         )
     report = {**evaluation.report, "run": str(source)}
     write_json(folder / "eval.json", report)
     shown = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
     paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
-    image = stages.picture(workcell.scene, shown.joints[-1], paths, config)
+    image = stages.picture(workcell.scene, shown.joints, paths, [LEARNED] * len(paths))
     plot_evaluation(
         folder / "eval.png", report, evaluation.episodes, evaluation.references, demonstrations, config.task, image
     )
-    lines = [
-        f"measured run    {source}",
+    lines: list[RenderableType] = [
+        f"measured run    {console.shown_path(source)}",
         table(report),
-        f"report          {folder / 'eval.json'}",
-        f"learned path    {folder / 'eval.png'}",
+        f"report          {console.shown_path(folder / 'eval.json')}",
+        f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
     if (source / "train.png").exists():
-        lines.append(f"training curve  {source / 'train.png'}")
+        lines.append(f"training curve  {console.shown_path(source / 'train.png')}")
     if (source / "fit.png").exists():
-        lines.append(f"fit errors      {source / 'fit.png'}")
+        lines.append(f"fit errors      {console.shown_path(source / 'fit.png')}")
     return CommandResult(report, lines, objective=report["success_rate"])

@@ -5,6 +5,7 @@ from pathlib import Path
 from rich.console import RenderableType
 from rich.table import Table
 
+from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
 from koopdqn.result import CommandResult
@@ -42,8 +43,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         table.add_row(name, value)
     lines: list[RenderableType] = [
         table,
-        f"intent   {folder / stages.INTENT}",
-        f"report   {folder / 'fit.json'}",
-        f"picture  {folder / 'fit.png'}",
+        f"intent   {console.shown_path(folder / stages.INTENT)}",
+        f"report   {console.shown_path(folder / 'fit.json')}",
+        f"picture  {console.shown_path(folder / 'fit.png')}",
     ]
     return CommandResult(report, lines, objective=roll_out["median_hausdorff"])

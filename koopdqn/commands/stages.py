@@ -88,12 +88,14 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
     return stored
 
 
-def picture(scene: Scene, joints: Array, lines: list[Array], config: Configuration) -> Any:
-    """Return a rendered picture of the arm at joints (6,) with paths (T, 3) drawn, or None where nothing can render."""
-    from koopdqn.robot.camera import render, view_of
+def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:
+    """Return a picture of a motion, joints (N, 6), with paths (T, 3) drawn in, or None where nothing can draw it."""
+    from koopdqn.plots.scene import draw_motion
 
+    if joints is None:
+        return None
     try:
-        return render(scene, joints, view_of(config.task), lines=lines)
+        return draw_motion(scene, joints, paths, colours)
     except WorkFailedError as error:
         console.warn(f"no picture of the arm: {error}")
         return None

@@ -130,7 +130,7 @@ def _lines(report: dict[str, Any], folder: Path) -> list[str]:
         f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
         f" {report['oracle_queries']} questions asked",
         f"rewards that the demonstrator agrees with: {shown}",
-        f"policy          {folder / POLICY}",
-        f"report          {folder / REPORT}",
-        f"training curve  {folder / 'train.png'}",
+        f"policy          {console.shown_path(folder / POLICY)}",
+        f"report          {console.shown_path(folder / REPORT)}",
+        f"training curve  {console.shown_path(folder / 'train.png')}",
     ]

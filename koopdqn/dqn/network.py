@@ -67,7 +67,7 @@ def _drawn(values: NDArray[np.float64]) -> Tensor:
 
 def _linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
     # He initialisation from a generator of our own: no global random state.
-    layer = nn.utils.skip_init(nn.Linear, inputs, outputs)
+    layer = nn.Linear(inputs, outputs, device="meta").to_empty(device="cpu")
     with torch.no_grad():
         layer.weight.copy_(_drawn(rng.normal(scale=np.sqrt(2.0 / inputs), size=(outputs, inputs))))
         layer.bias.zero_()

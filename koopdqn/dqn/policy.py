@@ -67,7 +67,9 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
     try:
         load_arrays(network, artifact.arrays)
     except RuntimeError as error:
-        raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {error}") from error
+        # torch lists every array on a line of its own.
+        found = " ".join(str(error).split())
+        raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {found}") from error
     return Policy(network, task), about
 
 

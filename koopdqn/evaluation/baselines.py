@@ -8,11 +8,10 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.environment.compare import excess
-from koopdqn.intent.fitting import TURNS_PER_STEP
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rollout import Episode, follow, roll_out
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import TURNS_PER_STEP, Task
 from koopdqn.workcell import Workcell
 
 

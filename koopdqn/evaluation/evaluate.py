@@ -55,7 +55,7 @@ def evaluate(
     trajectories: list[Array],
     settings: EvaluationSettings,
     step_limit: int,
-    advance: Callable[[int], None] = lambda done: None,
+    advance: Callable[[int], None] = lambda units: None,
 ) -> Evaluation:
     """Measure a policy on held-out starts. The policy alone acts: no intent model, oracle, mask or look-ahead.
 
@@ -67,7 +67,7 @@ def evaluate(
         trajectories: demonstrated poses (N, 7) at the agent's step, for the baseline that replays one.
         settings: on which starts, and what is measured beside.
         step_limit: steps after which an episode fails.
-        advance: told the units of work done so far, of :func:`work_units`.
+        advance: told the units of work just done, of :func:`work_units`.
 
     Raises:
         BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
@@ -76,12 +76,11 @@ def evaluate(
     rng = np.random.default_rng([settings.seed, _STREAM])
     starts, joints, redrawn = workcell.reachability.draw_starts(task, rng, settings.episodes)
     references = reference_paths(task, starts, step_limit)
-    done = _Progress(advance)
     episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
-    done.add(len(episodes))
+    advance(len(episodes))
 
     def measured(baseline: list[Episode]) -> MethodReport:
-        done.add(len(baseline))
+        advance(len(baseline))
         return measure(baseline, references, task, trust)
 
     baselines = None
@@ -91,7 +90,7 @@ def evaluate(
             greedy=measured(greedy(workcell, model, starts, joints, step_limit)),
             nearest_demonstration=measured(nearest_demonstration(workcell, trajectories, starts, joints)),
         )
-    dynamics = _dynamics(workcell, episodes, settings, done) if settings.dynamics else None
+    dynamics = _dynamics(workcell, episodes, settings, advance) if settings.dynamics else None
     policy_report = measure(episodes, references, task, trust)
     report = EvaluationReport(
         task=task.name,
@@ -106,38 +105,16 @@ def evaluate(
     return Evaluation(report.model_dump(mode="json"), episodes, references)
 
 
-class _Progress:
-    def __init__(self, advance: Callable[[int], None]) -> None:
-        self._advance = advance
-        self._done = 0
-
-    def add(self, units: int) -> None:
-        self._done += units
-        self._advance(self._done)
-
-
 def _dynamics(
-    workcell: Workcell, episodes: list[Episode], settings: EvaluationSettings, done: _Progress
+    workcell: Workcell, episodes: list[Episode], settings: EvaluationSettings, advance: Callable[[int], None]
 ) -> DynamicsReport:
     chosen = [episode for episode in episodes if episode.outcome == SUCCESS][: settings.dynamics_episodes]
     executions = []
     for episode in chosen:
         executions.append(execute(workcell, episode.joints, settings.time_scale))
-        done.add(1)
-    done.add(settings.dynamics_episodes - len(chosen))
+        advance(1)
+    advance(settings.dynamics_episodes - len(chosen))
     return summarise(executions, settings.time_scale, workcell.arm.step_seconds)
-
-
-_HEADINGS = (
-    "success\n%",
-    "deviation\nmm",
-    "p95 of\nmax mm",
-    "Fréchet\nmm",
-    "lateral\nmm",
-    "steps",
-    "length\nratio",
-    "in tube\n%",
-)
 
 
 def table(report: dict[str, Any]) -> "Table":
@@ -147,16 +124,16 @@ def table(report: dict[str, Any]) -> "Table":
 
     found = Table(
         title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}",
-        caption="below each success rate its 95 % interval",
+        caption="deviation: mean and 95th percentile of the largest, points matched by arc length",
         box=box.SIMPLE_HEAD,
-        padding=(0, 0, 0, 1),
+        padding=(0, 1, 0, 0),
     )
     found.add_column("method", no_wrap=True)
-    for heading in _HEADINGS:
-        found.add_column(heading, justify="right")
+    for heading in ("success", "deviation", "sideways"):
+        found.add_column(heading, justify="right", no_wrap=True)
     found.add_column("failures")
     for name, method in {"policy": report, **(report["baselines"] or {})}.items():
-        found.add_row(name.replace("_", "\n"), *_cells(method))
+        found.add_row(name.replace("_", " "), *_cells(method))
     return found
 
 
@@ -164,17 +141,12 @@ def _cells(method: dict[str, Any]) -> list[str]:
     deviation, (low, high) = method["path_deviation_mm"], method["success_interval_95"]
     causes = sorted(((count, cause) for cause, count in method["failures"].items() if count), reverse=True)
     return [
-        f"{100 * method['success_rate']:.0f}\n{100 * low:.0f}–{100 * high:.0f}",
-        _number(deviation["mean"], 1),
-        _number(deviation["p95_of_max"], 1),
-        _number(deviation["frechet"], 1),
-        _number(method["lateral_deviation_mm"]["mean"], 1),
-        _number(method["steps"]["mean"], 0),
-        _number(method["path_length_ratio"], 2),
-        _number(method["tube_fraction"], 0, 100),
-        "\n".join(f"{count} {cause.replace('_', ' ')}" for count, cause in causes) or "none",
+        f"{method['success_rate']:.0%} ({100 * low:.0f}–{100 * high:.0f})",
+        f"{_number(deviation['mean'], 1)} / {_number(deviation['p95_of_max'], 0)} mm",
+        f"{_number(method['lateral_deviation_mm']['mean'], 1)} mm",
+        ", ".join(f"{count} {cause.replace('_', ' ')}" for count, cause in causes) or "none",
     ]
 
 
-def _number(value: float | None, digits: int, scale: float = 1.0) -> str:
-    return "–" if value is None else f"{value * scale:.{digits}f}"
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

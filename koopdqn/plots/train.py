@@ -64,8 +64,8 @@ def _rewards(axes: Axes, history: History) -> None:
     exploring = np.array(history.exploring, dtype=bool)
     number = np.arange(1, len(rewards) + 1)
     groups = (
-        (exploring, PALE, GREY, "from along a demonstration"),
-        (~exploring, SKY, BLUE, "from the start region"),
+        (exploring, PALE, GREY, "short, exploring"),
+        (~exploring, SKY, BLUE, "whole"),
     )
     for chosen, dot, line, label in groups:
         if chosen.any():

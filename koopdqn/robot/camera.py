@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
-from koopdqn.robot.rendering_backend import VARIABLE
+from koopdqn.robot.rendering_backend import DISABLED, VARIABLE
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.view import View
 
@@ -97,11 +97,13 @@ class Camera:
             self._renderer = mujoco.Renderer(scene.model, height=size[1], width=size[0], max_geom=_MAX_GEOMS)
         # A missing library, driver or display shows in as many ways as there are backends, and not as one error type.
         except Exception as error:
-            tried = os.environ.get(VARIABLE) or "the system's default"
-            reason = str(error).strip().splitlines() or [type(error).__name__]
+            asked = os.environ.get(VARIABLE, "")
+            tried = f"{VARIABLE}={asked}" if asked else "the system's default"
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            if asked == DISABLED:
+                reason = "it was asked for, or the libraries of neither egl nor osmesa were found"
             raise WorkFailedError(
-                f"pictures need a rendering backend that works; tried {VARIABLE}={tried}, which says: {reason[0]};"
-                " see `koopdqn doctor`"
+                f"pictures need a rendering backend that works; tried {tried}: {reason}; see `koopdqn doctor`"
             ) from error
 
     def __enter__(self) -> "Camera":

@@ -9,6 +9,7 @@ from typing import Final
 from koopdqn.errors import BadInputError
 
 VARIABLE: Final = "MUJOCO_GL"
+DISABLED: Final = "disable"
 
 # Of each inner tuple one library must load; without them `import mujoco` fails, not only drawing.
 _LIBRARIES: Final = {
@@ -44,7 +45,7 @@ def prepare_rendering(loads: Callable[[str], bool] | None = None) -> None:
     if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         return
     working = (name for name in _LIBRARIES if not _missing(name, loads))
-    os.environ[VARIABLE] = next(working, "disable")
+    os.environ[VARIABLE] = next(working, DISABLED)
 
 
 def _missing(backend: str, loads: Callable[[str], bool]) -> str:

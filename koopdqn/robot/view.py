@@ -125,7 +125,7 @@ def _surroundings(scene: Scene, goal: Array) -> Array:
     standing = [i for i in range(model.ngeom) if model.body_weldid[model.geom_bodyid[i]] == 0]
     middles = data.geom_xpos[standing]
     middles = middles[np.linalg.norm(middles - goal, axis=1) < _SURROUNDINGS]
-    return np.concatenate([middles, middles + [0.0, 0.0, _ABOVE]])
+    return np.concatenate([middles, middles + np.array([0.0, 0.0, _ABOVE])])
 
 
 def _arm_corners(scene: Scene, joints: Array) -> Array:

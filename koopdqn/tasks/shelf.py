@@ -90,14 +90,15 @@ class ShelfTask(Task):
         floor_z = scene.floor_height
         top = z + height + BOARD_M
         for name, board_z in (("shelf_bottom", z - half), ("shelf_top", z + height + half)):
-            scene.furniture_box(name, (middle_x, middle_y, board_z), (depth / 2, outer_half, half), WOOD)
+            # Between the side boards, so that no two faces lie in one plane and flicker.
+            scene.furniture_box(name, (middle_x, middle_y, board_z), (depth / 2 - 0.002, width / 2, half), WOOD)
         for name, board_y in (("shelf_right", y - half), ("shelf_left", y + width + half)):
             center = (middle_x, board_y, (floor_z + top) / 2)
             scene.furniture_box(name, center, (depth / 2, half, (top - floor_z) / 2), WOOD)
         back = (x + depth + half, middle_y, (floor_z + top) / 2)
         scene.furniture_box("shelf_back", back, (half, outer_half, (top - floor_z) / 2), DARK_WOOD)
         lower = floor_z + 0.35
-        scene.furniture_box("shelf_lower", (middle_x, middle_y, lower), (depth / 2, outer_half, half), WOOD)
+        scene.furniture_box("shelf_lower", (middle_x, middle_y, lower), (depth / 2 - 0.002, width / 2, half), WOOD)
         if self.lip_m > 0:
             lip = (x + half, middle_y, z + self.lip_m / 2)
             scene.furniture_box("shelf_lip", lip, (half, width / 2, self.lip_m / 2), DARK_WOOD)

@@ -1,0 +1,55 @@
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from koopdqn.artifact import Artifact, write_artifact
+from koopdqn.errors import BadInputError
+from koopdqn.training.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
+
+SHAPED_BY: dict[str, Any] = {"seed": 0, "task": {"name": "shelf"}}
+
+
+class _Stub:
+    """Something with a trainer's state."""
+
+    def state(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        return {"learner/updates": np.array(7)}, {"counters": {"questions": 3}, "rng": {"state": 2**127 + 1}}
+
+
+def saved(folder: Path) -> None:
+    save_checkpoint(folder, _Stub(), SHAPED_BY, 12.5)  # type: ignore[arg-type]  # only its state is used
+
+
+def test_a_run_without_a_checkpoint_begins_anew(tmp_path: Path) -> None:
+    assert read_checkpoint(tmp_path, SHAPED_BY) is None
+
+
+def test_a_checkpoint_holds_state_and_time(tmp_path: Path) -> None:
+    saved(tmp_path)
+    found = read_checkpoint(tmp_path, dict(reversed(list(SHAPED_BY.items()))))
+    assert found is not None
+    assert int(found.arrays["learner/updates"]) == 7
+    assert found.about["state"] == _Stub().state()[1]
+    assert found.about["seconds"] == 12.5
+
+
+def test_a_run_of_another_config_is_refused(tmp_path: Path) -> None:
+    saved(tmp_path)
+    with pytest.raises(BadInputError, match="can only go on with the config it began with"):
+        read_checkpoint(tmp_path, SHAPED_BY | {"seed": 1})
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
+    saved(tmp_path)
+    path = checkpoint_path(tmp_path)
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(BadInputError, match="must be a whole artifact"):
+        read_checkpoint(tmp_path, SHAPED_BY)
+
+
+def test_an_artifact_of_another_kind_in_its_place_is_refused(tmp_path: Path) -> None:
+    write_artifact(checkpoint_path(tmp_path), Artifact("policy", {}, {}))
+    with pytest.raises(BadInputError, match="must be of kind checkpoint, found kind policy"):
+        read_checkpoint(tmp_path, SHAPED_BY)

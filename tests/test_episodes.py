@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+
+from koopdqn import pose
+from koopdqn.environment.episodes import EpisodeBatch, StartSampler
+from koopdqn.pose import Array
+from koopdqn.workcell import Workcell
+
+
+def sampler(workcell: Workcell, trajectories: list[Array], share: float, region: float = 0.0) -> StartSampler:
+    return StartSampler(workcell.task, workcell.reachability, trajectories, share, region, 0.008, 40, 750)
+
+
+def begun(starts: StartSampler, count: int, seed: int = 0) -> EpisodeBatch:
+    batch, rng = EpisodeBatch.empty(count), np.random.default_rng(seed)
+    for index in range(count):
+        starts.begin(batch, index, 100 + index, rng)
+    return batch
+
+
+def in_region(workcell: Workcell, poses: Array) -> np.ndarray:
+    offset = np.abs(poses[:, :3] - workcell.task.nominal_start[:3])
+    return np.all(offset <= np.array(workcell.task.start_half_range_m) + 1e-12, axis=1)
+
+
+@pytest.mark.parametrize(("share", "limit"), [(0.0, 750), (1.0, 40)])
+def test_exploring_episodes_are_short_and_lie_along_demonstrations(
+    workcell: Workcell, trajectories: list[Array], share: float, limit: int
+) -> None:
+    batch = begun(sampler(workcell, trajectories, share), 60)
+    np.testing.assert_array_equal(batch.limits, limit)
+    np.testing.assert_array_equal(batch.exploring, share == 1.0)
+    shown = np.concatenate(trajectories)[:, :3]
+    gap = np.linalg.norm(batch.poses[:, None, :3] - shown[None], axis=2).min(axis=1)
+    if share == 1.0:
+        assert gap.max() < 5 * 0.008
+        assert not in_region(workcell, batch.poses).all()
+    else:
+        assert in_region(workcell, batch.poses).all()
+
+
+def test_shares_of_starts_are_as_said(workcell: Workcell, trajectories: list[Array]) -> None:
+    batch = begun(sampler(workcell, trajectories, 0.5, 1.0), 300)
+    assert 0.4 < batch.exploring.mean() < 0.6
+    assert in_region(workcell, batch.poses).all()
+
+
+def test_every_start_is_one_the_arm_can_take_and_no_goal(workcell: Workcell, trajectories: list[Array]) -> None:
+    batch = begun(sampler(workcell, trajectories, 0.8, 0.3), 40)
+    reached = workcell.arm.forward(batch.joints)
+    assert pose.position_distance(reached, batch.poses).max() < 1e-9
+    assert all(workcell.scene.contact(row) == "" for row in batch.joints)
+    assert not workcell.task.reached(batch.poses).any()
+
+
+def test_beginning_wipes_what_was(workcell: Workcell, trajectories: list[Array]) -> None:
+    batch = EpisodeBatch.empty(2)
+    batch.steps[:], batch.rewards[:], batch.tried[:], batch.fresh[:] = 9, 9.0, True, False
+    sampler(workcell, trajectories, 0.0).begin(batch, 1, 7, np.random.default_rng(0))
+    assert (batch.steps[1], batch.rewards[1], batch.numbers[1], batch.fresh[1]) == (0, 0.0, 7, True)
+    assert not batch.tried[1].any()
+    assert (batch.steps[0], batch.rewards[0], batch.fresh[0]) == (9, 9.0, False)
+
+
+def test_moving_is_a_step_to_where_nothing_was_tried(workcell: Workcell, trajectories: list[Array]) -> None:
+    batch = begun(sampler(workcell, trajectories, 0.0), 2)
+    batch.tried[:, 3], batch.fresh[:] = True, False
+    target, joints = batch.poses[0] + 0.001, batch.joints[0] + 0.01
+    batch.move(0, target, joints)
+    np.testing.assert_array_equal(batch.poses[0], target)
+    np.testing.assert_array_equal(batch.joints[0], joints)
+    assert batch.steps.tolist() == [1, 0]
+    assert batch.fresh.tolist() == [True, False]
+    assert batch.tried.any(axis=1).tolist() == [False, True]
+
+
+def test_a_restored_batch_is_the_same_and_apart(workcell: Workcell, trajectories: list[Array]) -> None:
+    old, new = begun(sampler(workcell, trajectories, 0.5, 0.5), 5), EpisodeBatch.empty(5)
+    state = old.state()
+    new.restore(state)
+    for name, values in old.state().items():
+        np.testing.assert_array_equal(new.state()[name], values)
+    new.move(0, new.poses[1], new.joints[1])
+    assert old.steps[0] == state["steps"][0] == 0
+
+
+def test_the_generator_fixes_the_starts(workcell: Workcell, trajectories: list[Array]) -> None:
+    one, two, other = (begun(sampler(workcell, trajectories, 0.8, 0.3), 10, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.poses, two.poses)
+    assert not np.array_equal(one.poses, other.poses)

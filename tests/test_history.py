@@ -1,0 +1,40 @@
+import json
+
+import numpy as np
+import pytest
+
+from koopdqn.environment.reward import ASKED, RULE, TRUSTED
+from koopdqn.training.history import Check, History
+
+
+def some_history() -> History:
+    history = History([1.5, -2.0], [3, 4], [True, False], [0.25], [Check(250, 1000, 9, 0.5, {"collision": 10})])
+    history.judged[[RULE, TRUSTED, ASKED]] = [7, 8, 4]
+    history.agreed[[RULE, TRUSTED, ASKED]] = [0, 6, 4]
+    return history
+
+
+def test_it_comes_back_through_json_and_goes_on() -> None:
+    restored = History.restored(json.loads(json.dumps(some_history().state())))
+    assert restored.state() == some_history().state()
+    restored.judged[ASKED] += 1
+    assert restored.checks[0] == Check(250, 1000, 9, 0.5, {"collision": 10})
+    assert restored.judged.dtype == some_history().judged.dtype
+
+
+def test_agreement_is_the_share_of_each_source_but_rules() -> None:
+    assert some_history().agreement() == {"trusted": pytest.approx(0.75), "asked": pytest.approx(1.0)}
+    assert some_history().counts() == {"trusted": 8, "asked": 4}
+
+
+def test_where_no_reward_was_given_there_is_no_share() -> None:
+    assert History().agreement() == {"trusted": None, "asked": None}
+    assert History().counts() == {"trusted": 0, "asked": 0}
+
+
+def test_two_histories_share_nothing() -> None:
+    one, two = History(), History()
+    one.rewards.append(1.0)
+    one.judged[0] += 1
+    assert two.rewards == []
+    np.testing.assert_array_equal(two.judged, 0)

@@ -1,0 +1,29 @@
+"""Learning a whole task for real; slow, run by `make learn`."""
+
+import numpy as np
+import pytest
+from parts import Parts
+
+from koopdqn.dqn.policy import Policy
+from koopdqn.environment.reward import IntentReward
+from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.pose import Array
+from koopdqn.rollout import SUCCESS, roll_out
+from koopdqn.training.trainer import Trainer
+from koopdqn.workcell import Workcell
+
+
+@pytest.mark.slow
+def test_the_shelf_is_learned_and_held_on_starts_never_seen(
+    parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]
+) -> None:
+    trainer = Trainer(workcell, reward, trajectories, ScriptedOracle(workcell.task), parts.agent, parts.train, seed=0)
+    trainer.run()
+    assert trainer.learned
+    for name in ("trusted", "asked"):
+        share = trainer.history.agreement()[name]
+        assert share is None or share > 0.9
+    starts, joints, _ = workcell.reachability.draw_starts(workcell.task, np.random.default_rng(987), 100)
+    policy = Policy(trainer.learner.online, workcell.task)
+    episodes = roll_out(policy, workcell.task, workcell.reachability, starts, joints, trainer.step_limit)
+    assert np.mean([episode.outcome == SUCCESS for episode in episodes]) >= 0.95
