@@ -114,7 +114,7 @@ def described(settings: Settings) -> dict[str, Any]:
     node: dict[str, Any] = {TARGET: f"{cls.__module__}.{cls.__qualname__}"}
     for name, field in cls.model_fields.items():
         value = getattr(settings, name)
-        node[name] = described(value) if isinstance(value, Settings) else _plain(value)
+        node[name] = _plain(value)
         # Only where a subclass may stand is its name read; elsewhere it would be an unknown key.
         if type(value) is field.annotation and isinstance(value, Settings):
             del node[name][TARGET]
@@ -124,4 +124,6 @@ def described(settings: Settings) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, Settings):
+        return described(value)
     return str(value) if isinstance(value, Path) else value

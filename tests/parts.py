@@ -20,6 +20,7 @@ from koopdqn.intent.trust import TrustSettings
 from koopdqn.pose import Array
 from koopdqn.robot.ur import URArm
 from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.task import Task
 from koopdqn.training.settings import TrainSettings
 
 
@@ -55,8 +56,8 @@ def load_parts(*overrides: str) -> Parts:
     )
 
 
-def with_fields(task: ShelfTask, **fields: object) -> ShelfTask:
-    """Return a task with some fields changed and checked anew (``model_copy`` would keep what is cached)."""
+def with_fields(task: Task, **fields: object) -> ShelfTask:
+    """Return the shelf task with some fields changed and checked anew (``model_copy`` would keep what is cached)."""
     node = _untargeted(described(task))
     return validate(node | fields, ShelfTask, "task")
 
@@ -74,7 +75,7 @@ def straight_poses(start: Array, end: Array, count: int, quaternion: Array) -> A
 
 def as_demonstrations(task: str, trajectories: list[Array]) -> Demonstrations:
     """Return pose trajectories (N, 7) as demonstrations, a sample every 0.1 s."""
-    items = [Demonstration(0.1 * np.arange(len(poses)), poses) for poses in trajectories]
+    items = [Demonstration(0.1 * np.arange(float(len(poses))), poses) for poses in trajectories]
     return Demonstrations(task, "UR5", items)
 
 

@@ -67,7 +67,12 @@ def test_the_digest_changes_with_any_value_name_type_or_shape(index: int, change
     changed = values.copy()
     changed[index] += change
     assert (arrays_digest({"a": changed}) == arrays_digest({"a": values})) == np.array_equal(changed, values)
-    variants = [{"b": values}, {"a": values.astype(np.float32)}, {"a": values.reshape(2, 3)}, {}]
+    variants: list[dict[str, np.ndarray]] = [
+        {"b": values},
+        {"a": values.astype(np.float32)},
+        {"a": values.reshape(2, 3)},
+        {},
+    ]
     assert len({arrays_digest(item) for item in [{"a": values}, *variants]}) == 5
 
 

@@ -39,15 +39,16 @@ def make(workcell: Workcell, reward: IntentReward) -> Make:
     return environment
 
 
-class TestProtocol(test_utils.EnvironmentTestMixin, absltest.TestCase):
+class TestProtocol(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type: ignore[misc]  # dm_env is untyped
     """dm_env's own tests of what an environment must do."""
 
     @pytest.fixture(autouse=True)
     def _parts(self, workcell: Workcell, reward: IntentReward) -> None:
-        self._make = lambda: KoopmanEnvironment(workcell, reward, ScriptedOracle(workcell.task), 60, 0)
+        self._workcell, self._reward = workcell, reward
 
     def make_object_under_test(self) -> KoopmanEnvironment:
-        return self._make()
+        oracle = ScriptedOracle(self._workcell.task)
+        return KoopmanEnvironment(self._workcell, self._reward, oracle, 60, 0)
 
 
 def test_a_right_action_moves_and_a_wrong_one_is_undone(make: Make) -> None:

@@ -20,7 +20,7 @@ def begun(starts: StartSampler, count: int, seed: int = 0) -> EpisodeBatch:
 
 def in_region(workcell: Workcell, poses: Array) -> np.ndarray:
     offset = np.abs(poses[:, :3] - workcell.task.nominal_start[:3])
-    return np.all(offset <= np.array(workcell.task.start_half_range_m) + 1e-12, axis=1)
+    return np.asarray(np.all(offset <= np.array(workcell.task.start_half_range_m) + 1e-12, axis=1))
 
 
 @pytest.mark.parametrize(("share", "limit"), [(0.0, 750), (1.0, 40)])

@@ -10,6 +10,7 @@ from koopdqn.demonstrations.resample import to_count
 from koopdqn.errors import BadInputError
 from koopdqn.intent.edmd import koopman_matrix
 from koopdqn.intent.fitting import Fitted, agent_steps, fit, unmatched_share
+from koopdqn.intent.model import IntentModel
 from koopdqn.intent.observables import SecondOrder
 from koopdqn.pose import Array
 
@@ -55,6 +56,26 @@ def test_the_report_says_what_is_computed_by_hand_on_a_tiny_case(paper: Parts) -
 def test_the_spectral_radius_is_that_of_the_model(fitted: Fitted) -> None:
     eigenvalues = np.linalg.eigvals(fitted.model.position.matrix)
     assert fitted.report["spectral_radius"] == pytest.approx(np.abs(eigenvalues).max(), rel=1e-12)
+
+
+def test_the_errors_that_bound_trust_are_of_raw_or_of_rescaled_predictions(
+    fitted: Fitted, demonstrations: Demonstrations, parts: Parts, trajectories: list[Array]
+) -> None:
+    step = parts.task.step_m
+    raw_trust = parts.trust.model_copy(update={"error_of": "raw", "matching": "step"})
+    scaled_trust = parts.trust.model_copy(update={"error_of": "rescaled", "matching": "step"})
+    held_out, others = trajectories[0], trajectories[1:]
+    fold = IntentModel.fit(others, parts.task, parts.intent)
+    for trust, predicted in (
+        (raw_trust, fold.predict(held_out[:-1])),
+        (scaled_trust, fold.preferred(held_out[:-1], step)),
+    ):
+        domain = fit(demonstrations, parts.task, parts.intent, trust).trust
+        error = pose.position_distance(predicted, held_out[1:])
+        # The largest over all demonstrations, of which this is one.
+        assert np.all(domain.error[: len(error), 0] >= error - 1e-9)
+        assert domain.error[:, 0].min() <= error.max()
+    assert fitted.trust.settings == parts.trust
 
 
 def test_coverage_is_the_share_of_held_out_states_inside(fitted: Fitted) -> None:

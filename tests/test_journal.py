@@ -14,9 +14,8 @@ from koopdqn.feedback.oracle import Answer, Question
 
 def question(number: int) -> Question:
     rng = np.random.default_rng(number)
-    return Question(
-        number // 3, number % 3, rng.normal(size=7), number % 10, rng.normal(size=7), rng.normal(size=7), "far"
-    )
+    before, reached, predicted = rng.normal(size=(3, 7))
+    return Question(number // 3, number % 3, before, number % 10, reached, predicted, "far")
 
 
 def thirds(asked: Question) -> bool | None:

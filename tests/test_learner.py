@@ -72,6 +72,20 @@ def test_a_loss_is_the_mean_squared_error_to_the_targets(agent: AgentSettings) -
     assert made.update(data) == pytest.approx(np.mean((values[rows, data.actions] - targets) ** 2), rel=1e-5)
 
 
+@pytest.mark.parametrize("double", [True, False])
+def test_what_follows_is_valued_by_the_slower_target_network(agent: AgentSettings, double: bool) -> None:
+    made = learner(agent.model_copy(update={"double": double, "target_every": 1000}))
+    for update in range(5):
+        made.update(batch(update))
+    slow = learner(agent).online
+    data = batch(9)
+    rows = np.arange(32)
+    values, following = made.online.values(data.observations), slow.values(data.following)
+    chosen = made.online.values(data.following) if double else following
+    targets = data.rewards + 0.5 * following[rows, chosen.argmax(axis=1)]
+    assert made.update(data) == pytest.approx(np.mean((values[rows, data.actions] - targets) ** 2), rel=1e-5)
+
+
 def test_terminated_stops_and_truncated_bootstraps(agent: AgentSettings) -> None:
     yes = np.ones(32, dtype=bool)
     going = loss_of(agent, batch(0))

@@ -31,7 +31,7 @@ def episode(poses: Array, outcome: str = SUCCESS) -> Episode:
 
 
 def measured(episodes: list[Episode], references: list[Array]) -> MethodReport:
-    return measure(episodes, references, shelf().task, taught().trust)
+    return measure(episodes, references, shelf().task, taught().trust, 0.02)
 
 
 @given(trials=st.integers(1, 400), data=st.data())

@@ -15,7 +15,8 @@ EVERY: list[Observables] = [
     RadialTurn(knots=KNOTS),
 ]
 
-states = st.lists(st.tuples(*[st.floats(-3, 3, allow_nan=False)] * 3), min_size=1, max_size=6).map(np.array)
+numbers = st.floats(-3, 3, allow_nan=False)
+states = st.lists(st.tuples(numbers, numbers, numbers), min_size=1, max_size=6).map(np.array)
 
 
 @pytest.mark.parametrize("observables", EVERY, ids=lambda o: type(o).__name__)
@@ -54,7 +55,7 @@ def test_random_features_approximate_the_gaussian_kernel() -> None:
     features = many.features(points)
 
     def kernel(x: Array, y: Array) -> Array:
-        return np.exp(-((x[:, None] - y[None]) ** 2).sum(axis=2) / (2 * scale**2))
+        return np.asarray(np.exp(-((x[:, None] - y[None]) ** 2).sum(axis=2) / (2 * scale**2)))
 
     zero = np.zeros((1, 3))
     wanted = kernel(points, points) - kernel(points, zero) - kernel(zero, points) + kernel(zero, zero)

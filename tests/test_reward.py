@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parts import Parts
 
 from koopdqn import pose
 from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
+from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 
 SIGN = RewardSettings(shape="sign", prediction="rescaled", doubt=0.0, size=1.0, goal=0.0)
@@ -96,7 +96,7 @@ def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, traj
 def test_what_must_be_trusted_is_the_reached_state_or_both(
     reward: IntentReward, trajectories: list[Array], needs: str
 ) -> None:
-    settings_ = reward.trust.settings.model_copy(update={"needs": needs})
+    settings_ = reward.trust.settings.model_copy(update={"needs": needs, "sigmas": 1.0})
     trust = replace(reward.trust, settings=settings_)
     judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
     poses, steps = data
@@ -108,20 +108,25 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
     assert (there & ~here[:, None])[:, AXES].any(), "some case must tell the two apart"
 
 
-def test_the_step_that_is_asked_of_the_trust_domain_is_the_reached_ones(
-    reward: IntentReward, paper: Parts, trajectories: list[Array]
-) -> None:
-    from koopdqn.intent.trust import TrustDomain
+class _Recording(TrustDomain):
+    """A trust domain that keeps which steps it was asked about."""
 
-    errors = [np.zeros((len(rows) - 1, 2)) for rows in trajectories]
-    by_step = TrustDomain.fit(trajectories, errors, reward.task.frame, paper.trust)
-    judge = IntentReward(reward.task, reward.model, by_step, SIGN).judge
-    poses = trajectories[0][40:41]
-    judged = judge(poses, np.array([40]))
-    inside = [by_step.inside(judged.reached[:, action], np.array([41]))[0] for action in AXES]
-    np.testing.assert_array_equal(judged.source[0, AXES] == TRUSTED, inside)
-    assert any(inside)
-    assert not (judge(poses, np.array([120])).source[0, AXES] == TRUSTED).any()
+    def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
+        ASKED_STEPS.append((len(poses), np.array(steps)))
+        return super().inside(poses, steps)
+
+
+ASKED_STEPS: list[tuple[int, np.ndarray]] = []
+
+
+def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, trajectories: list[Array]) -> None:
+    recording = _Recording(**{name: getattr(reward.trust, name) for name in reward.trust.__dataclass_fields__})
+    ASKED_STEPS.clear()
+    IntentReward(reward.task, reward.model, recording, SIGN).judge(trajectories[0][[3, 40]], np.array([3, 40]))
+    by_count = dict(ASKED_STEPS)
+    assert by_count.keys() == {2, 20}
+    np.testing.assert_array_equal(by_count[2], [3, 40])
+    np.testing.assert_array_equal(by_count[20], [4] * 10 + [41] * 10)
 
 
 def test_doubt_leaves_the_best_action_and_the_clear_ones(reward: IntentReward, trajectories: list[Array]) -> None:

@@ -15,7 +15,7 @@ from koopdqn.feedback.journal import JournalledOracle, read_journal
 from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.feedback.scripted import ScriptedOracle, demonstrator_agrees
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, roll_out
+from koopdqn.rollout import STUCK, SUCCESS, Episode, roll_out
 from koopdqn.training.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
 from koopdqn.training.history import Check
 from koopdqn.training.settings import TrainSettings
@@ -182,6 +182,33 @@ def test_checks_are_made_at_their_updates_and_tell_the_policys_success(make: Mak
         assert sum(check.failures.values()) == round(20 * (1 - check.success_rate))
     assert trainer.best_success == max(check.success_rate for check in seen)
     assert len(trainer.history.losses) == len(seen)
+    # Of equally good policies the latest is kept.
+    best = [check.updates for check in seen if check.success_rate == trainer.best_success]
+    assert trainer.best_update == best[-1]
+
+
+def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rates = iter([1.0, 0.5, 1.0, 1.0, 0.9, 1.0, 1.0, 1.0])
+
+    def scripted(*_: object) -> list[Episode]:
+        successes = round(20 * next(rates))
+        return [Episode(np.zeros((1, 7)), np.zeros((1, 6)), SUCCESS if i < successes else STUCK) for i in range(20)]
+
+    monkeypatch.setattr("koopdqn.training.trainer.roll_out", scripted)
+    trainer = make(
+        train={"check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "check_every": 4, "max_steps": 10**6}
+    )
+    policies: list[dict[str, np.ndarray]] = []
+    trainer.run(lambda check: policies.append(trainer.learner.policy_arrays()))
+    assert [check.success_rate for check in trainer.history.checks] == [1.0, 0.5, 1.0, 1.0, 0.9, 1.0, 1.0, 1.0]
+    assert trainer.history.checks[1].failures == {STUCK: 10}
+    assert trainer.learned_at == trainer.history.checks[-1].env_steps
+    assert trainer.best_success == 1.0
+    assert trainer.best_update == 32
+    for name, values in trainer.best.items():
+        np.testing.assert_array_equal(values, policies[-1][name])
 
 
 def test_the_step_limit_is_a_multiple_of_the_longest_demonstration(make: Make) -> None:

@@ -1,9 +1,11 @@
+from functools import cache
 from typing import Literal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.intent.fitting import Fitted
@@ -16,16 +18,21 @@ FRAME = np.array([[1.0, 0, 0, 0], [1.0, 0, 0, 0]])
 MATCHINGS: list[Matching] = ["step", "any"]
 
 
+@cache
+def _default() -> TrustSettings:
+    return load_parts().trust
+
+
 def settings(matching: Matching, sigmas: float = 3.0, floor: float = 0.002) -> TrustSettings:
-    return TrustSettings(
-        matching=matching,
-        sigmas=sigmas,
-        position_floor_m=floor,
-        rotation_floor_rad=5 * floor,
-        error_limit_m=0.001,
-        error_limit_rad=0.01,
-        needs="both",
-    )
+    changes = {
+        "matching": matching,
+        "sigmas": sigmas,
+        "position_floor_m": floor,
+        "rotation_floor_rad": 5 * floor,
+        "error_limit_m": 0.001,
+        "error_limit_rad": 0.01,
+    }
+    return _default().model_copy(update=changes)
 
 
 def lines(offsets: list[float], count: int = 11) -> list[Array]:
@@ -178,7 +185,7 @@ def test_without_a_floor_and_without_spread_the_reason_is_still_the_distance(mat
     drawn = TrustDomain.fit(same, no_errors(same), FRAME, settings(matching, floor=0.0))
     point = at(0.05, 0.001)
     assert not drawn.inside(point, np.array([5]))[0]
-    assert drawn.outside(point[0], 5).startswith("y is ")
+    assert "standard deviations from the demonstrations" in drawn.outside(point[0], 5)
 
 
 def test_angles_are_those_in_the_frame() -> None:

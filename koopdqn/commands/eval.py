@@ -22,6 +22,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
     from koopdqn.dqn.policy import read_policy
     from koopdqn.evaluation.evaluate import evaluate, table, work_units
+    from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
 
@@ -48,7 +49,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             step_limit,
             stage.advance,
         )
-    report = {**evaluation.report, "run": str(source)}
+    content = {**evaluation.report, "run": str(source)}
+    report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
     shown = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
     paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]

@@ -16,6 +16,7 @@ from koopdqn.result import CommandResult
 from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.training.events import EventLog
 from koopdqn.training.history import Check
+from koopdqn.training.schema import TrainReport
 from koopdqn.training.trainer import Trainer
 
 POLICY = "policy.safetensors"
@@ -91,7 +92,7 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
     """Return the content of ``train.json``."""
     history = trainer.history
     asked_or_trusted = int(history.judged[1:].sum())
-    return {
+    content = {
         "task": config.task.name,
         "seed": config.inputs.seed,
         "agent": config.agent.name,
@@ -116,6 +117,7 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "threads": config.train.threads,
         "made_from": made_from,
     }
+    return TrainReport.model_validate(content).model_dump(mode="json")
 
 
 def _lines(report: dict[str, Any], folder: Path) -> list[str]:

@@ -112,5 +112,6 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         )
         answer = self._oracle.answer(question)
         if answer.right is None:
-            return 0.0, self._pose, self._joints, False
+            # A skip is not a no, but nothing moves either.
+            return 0.0, reached, None, False
         return self._reward.value(answer.right, at_goal), reached, motion.joints, at_goal

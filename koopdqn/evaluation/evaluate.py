@@ -81,7 +81,7 @@ def evaluate(
 
     def measured(baseline: list[Episode]) -> MethodReport:
         advance(len(baseline))
-        return measure(baseline, references, task, trust)
+        return measure(baseline, references, task, trust, workcell.arm.step_seconds)
 
     baselines = None
     if settings.baselines:
@@ -91,7 +91,7 @@ def evaluate(
             nearest_demonstration=measured(nearest_demonstration(workcell, trajectories, starts, joints)),
         )
     dynamics = _dynamics(workcell, episodes, settings, advance) if settings.dynamics else None
-    policy_report = measure(episodes, references, task, trust)
+    policy_report = measure(episodes, references, task, trust, workcell.arm.step_seconds)
     report = EvaluationReport(
         task=task.name,
         episodes=settings.episodes,

@@ -6,7 +6,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.evaluation.deviation import deviations
-from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviation, Summary
+from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviation, Range, Summary, TurnReport
 from koopdqn.evaluation.wilson import wilson_interval
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
@@ -15,9 +15,13 @@ from koopdqn.tasks.path import arc_lengths
 from koopdqn.tasks.task import Task
 
 _MILLIMETRES = 1e3
+# What tasks measure of their own (:meth:`koopdqn.tasks.task.Task.measures`).
+_OWN = ("blade_angle_final_deg", "fraction_until_safe", "min_blade_distance_m", "blade_speed_m_s")
 
 
-def measure(episodes: list[Episode], references: list[Array], task: Task, trust: TrustDomain) -> MethodReport:
+def measure(
+    episodes: list[Episode], references: list[Array], task: Task, trust: TrustDomain, step_seconds: float
+) -> MethodReport:
     """Return what is measured of a method's episodes; :class:`MethodReport` defines every quantity.
 
     Deviations and lengths are taken over all episodes that made at least one step, failed ones too: a
@@ -28,6 +32,7 @@ def measure(episodes: list[Episode], references: list[Array], task: Task, trust:
         references: the demonstrator's own path (T, 7) from each episode's start.
         task: gives the goal.
         trust: the tube.
+        step_seconds: how long one step takes [s].
     """
     outcomes = Counter(episode.outcome for episode in episodes)
     moved = [(e.poses, reference) for e, reference in zip(episodes, references, strict=True) if e.steps]
@@ -48,7 +53,34 @@ def measure(episodes: list[Episode], references: list[Array], task: Task, trust:
         path_length_ratio=_length_ratio(moved),
         steps=summary(np.array([episode.steps for episode in episodes], dtype=float)),
         failures={cause: outcomes[cause] for cause in FAILURES},
+        turn=turn_report([path for path, _ in moved], task) if task.orientation == "learned" else None,
+        **_own_measures([path for path, _ in moved], task, step_seconds),
     )
+
+
+def turn_report(paths: list[Array], task: Task) -> TurnReport:
+    """Return how turn and motion go together along paths (T, 7) of a task whose orientation is learned."""
+    leads, shares = [], []
+    for path in paths:
+        left, unturned = pose.position_distance(path, task.goal), pose.rotation_distance(path, task.goal)
+        halved = unturned <= unturned[0] / 2
+        leads.append(bool(halved.any()) and bool(left[halved.argmax()] > left[0] * 2 / 3))
+        turned = pose.rotation_distance(path[1:], path[:-1])
+        if turned.sum() > 0:
+            moving = pose.position_distance(path[1:], path[:-1]) > 0
+            shares.append(float(turned[moving].sum() / turned.sum()))
+    return TurnReport(half_before_third=float(np.mean(leads)) if leads else None, while_moving=_range(shares))
+
+
+def _own_measures(paths: list[Array], task: Task, step_seconds: float) -> dict[str, Range | None]:
+    each = [task.measures(path, step_seconds) for path in paths]
+    return {name: _range([values[name] for values in each]) if each and name in each[0] else None for name in _OWN}
+
+
+def _range(values: list[float]) -> Range:
+    if not values:
+        return Range(mean=None, min=None, max=None)
+    return Range(mean=float(np.mean(values)), min=min(values), max=max(values))
 
 
 def summary(values: Array) -> Summary:

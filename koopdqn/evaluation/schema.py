@@ -2,17 +2,12 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from koopdqn.config.settings import Count, Fraction, NonNegative, NonNegativeInt
+from koopdqn.config.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.schema import ReportModel
 
 IntervalList = Annotated[list[Fraction], Field(min_length=2, max_length=2)]
-
-
-class ReportModel(BaseModel):
-    """Base of the parts of a report: immutable, no unknown keys, no coercion, no NaN or infinity."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class Summary(ReportModel):
@@ -36,6 +31,24 @@ class PathDeviation(LateralDeviation):
     """The same with points matched by arc length."""
 
     frechet: NonNegative | None = Field(description="mean over episodes of the discrete Fréchet distance [mm]")
+
+
+class Range(ReportModel):
+    """A quantity over episodes, of which the least matters too."""
+
+    mean: NonNegative | None = Field(description="mean over episodes")
+    min: NonNegative | None = Field(description="least of all episodes")
+    max: NonNegative | None = Field(description="largest of all episodes")
+
+
+class TurnReport(ReportModel):
+    """How the turn goes along with the motion, over the measured episodes; only where orientation is learned."""
+
+    half_before_third: Fraction | None = Field(
+        description="share of episodes whose orientation distance to the goal halves before the position distance has"
+        " lost a third"
+    )
+    while_moving: Range = Field(description="share of an episode's turn made in steps that also move the flange")
 
 
 class MethodReport(ReportModel):
@@ -67,6 +80,15 @@ class MethodReport(ReportModel):
     )
     steps: Summary = Field(description="steps made, over all episodes")
     failures: dict[str, NonNegativeInt] = Field(description="failed episodes by cause; every cause is present")
+    turn: TurnReport | None = Field(description="how turn and motion go together; null where orientation is held")
+    blade_angle_final_deg: Range | None = Field(description="knife: angle of the edge to straight down at the end")
+    fraction_until_safe: Range | None = Field(
+        description="knife: share of the path until the edge stays within the safe angle; 1 if it never does"
+    )
+    min_blade_distance_m: Range | None = Field(
+        description="knife: least distance on the way from the nearest point of the blade to the person [m]"
+    )
+    blade_speed_m_s: Range | None = Field(description="knife: largest speed of the blade's tip on the way [m/s]")
 
 
 class Contacts(ReportModel):
@@ -108,9 +130,9 @@ class Baselines(ReportModel):
 
 
 class EvaluationReport(MethodReport):
-    """The content of ``eval.json``. The keys of a method, at the top level, are the policy's."""
+    """What an evaluation finds. The keys of a method, at the top level, are the policy's."""
 
-    task: Annotated[str, Field(min_length=1)] = Field(description="name of the task")
+    task: Name = Field(description="name of the task")
     episodes: Count = Field(description="held-out starts")
     seed: NonNegativeInt = Field(description="of the starts")
     redrawn_starts: NonNegativeInt = Field(
@@ -119,3 +141,9 @@ class EvaluationReport(MethodReport):
     step_limit: Count = Field(description="steps after which an episode of the policy or of greedy fails")
     dynamics: DynamicsReport | None = Field(description="execution in dynamics; null if not asked for")
     baselines: Baselines | None = Field(description="what comes without learning; null if not asked for")
+
+
+class EvaluationFile(EvaluationReport):
+    """The content of ``eval.json``: the report with the run that was measured."""
+
+    run: Name = Field(description="folder of the run that was measured, as it was given or found")

@@ -11,6 +11,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.resample import to_count, to_step
 from koopdqn.errors import BadInputError
 from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.schema import FitReport
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.pose import Array
 from koopdqn.tasks.task import TURNS_PER_STEP, Task
@@ -74,6 +75,7 @@ def fit(
         rollouts.append(_roll_out_error(fold, held_out, task))
         advance(index + 1)
     model = IntentModel.fit(trajectories, task, intent)
+    first = next(iter(model.matrices.values()))
     raw = [_sizes(error) for error in errors]
     report: dict[str, Any] = {
         "task": task.name,
@@ -86,18 +88,20 @@ def fit(
         "one_step_error_rad": None,
         "one_step_error_per_step_rad": None,
         "roll_out_error_m": _summary_of_roll_outs(rollouts),
-        "spectral_radius": model.position.spectral_radius(),
+        "spectral_radius": first.spectral_radius(),
         "spectral_radius_rotation": None,
-        "lifted_dimension": len(model.position.matrix),
+        "lifted_dimension": len(first.matrix),
         "trust": _coverage(trajectories, sizes, task, trust),
         "unmatched_share": unmatched_share(trajectories, task),
         "sixty_samples": _sixty_samples(demonstrations, task, intent),
     }
-    if model.rotation is not None:
+    if task.orientation == "learned":
         report["one_step_error_rad"] = _error_summary([error[:, 3:] for error in errors], _TURNS)
         report["one_step_error_per_step_rad"] = _per_step([size[:, 1] for size in raw])
-        report["spectral_radius_rotation"] = model.rotation.koopman.spectral_radius()
-    return Fitted(model, TrustDomain.fit(trajectories, sizes, task.frame, trust), report)
+        if "K_o" in model.matrices:
+            report["spectral_radius_rotation"] = model.matrices["K_o"].spectral_radius()
+    checked = FitReport.model_validate(report).model_dump(mode="json")
+    return Fitted(model, TrustDomain.fit(trajectories, sizes, task.frame, trust), checked)
 
 
 def _errors(predicted: Array, true: Array) -> Array:

@@ -1,12 +1,14 @@
 """Observables: the functions g that lift a state so that its dynamics become linear (Eqs. 5, 6)."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from koopdqn.config.settings import Floats, Settings
+from koopdqn.config.settings import Floats, Settings, load_settings
 from koopdqn.pose import Array
 
 
@@ -28,6 +30,22 @@ class Observables(Settings, ABC):
     @abstractmethod
     def features(self, states: Array) -> Array:
         """Return the nonlinear part (N, D − d) of the lift of states (N, d)."""
+
+
+def _to_observables(value: Any) -> Any:
+    return load_settings(value, Observables, "intent.observables") if isinstance(value, Mapping) else value
+
+
+AnyObservables = Annotated[Observables, BeforeValidator(_to_observables)]
+"""Observables of any kind, as a field of settings."""
+
+
+class Affine(Observables):
+    """A constant beside the state, which makes an affine law linear."""
+
+    def features(self, states: Array) -> Array:
+        """Return ones (N, 1)."""
+        return np.ones((len(states), 1))
 
 
 class SecondOrder(Observables):

@@ -4,13 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from koopdqn.artifact import Artifact, arrays_digest, described, read_artifact, write_artifact
 from koopdqn.config.settings import load_settings
 from koopdqn.errors import BadInputError
-from koopdqn.intent.edmd import KoopmanModel
-from koopdqn.intent.model import IntentModel, IntentSettings, RotationModel
+from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.tasks.task import Task
 
@@ -38,16 +35,8 @@ class StoredIntent:
         return arrays_digest(self._arrays())
 
     def _arrays(self) -> dict[str, Any]:
-        position, rotation = self.model.position, self.model.rotation
-        turning = (
-            {} if rotation is None else {"rotation_matrix": rotation.koopman.matrix, "rotation_frame": rotation.frame}
-        )
         return {
-            **turning,
-            "matrix": position.matrix,
-            "center": position.center,
-            "scale": np.array(position.scale),
-            "goal": self.model.goal,
+            **self.model.arrays(),
             "trust_frame": self.trust.frame,
             "trust_mean": self.trust.mean,
             "trust_deviation": self.trust.deviation,
@@ -79,13 +68,8 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
         raise BadInputError(f"intent {path} must be of task {task.name} with the present settings, found task {name}")
     settings = load_settings(about["intent"], IntentSettings, "intent")
     trust = load_settings(about["trust"], TrustSettings, "trust")
-    position = KoopmanModel(settings.observables, arrays["center"], float(arrays["scale"]), arrays["matrix"])
     domain = TrustDomain(
         trust, arrays["trust_frame"], arrays["trust_mean"], arrays["trust_deviation"], arrays["trust_error"]
     )
-    rotation = None
-    if "rotation_matrix" in arrays:
-        koopman = KoopmanModel(settings.rotation.observables, np.zeros(3), 1.0, arrays["rotation_matrix"])
-        rotation = RotationModel(koopman, arrays["rotation_frame"], settings.rotation.coordinates)
-    model = IntentModel(position, rotation, arrays["goal"])
+    model = settings.restore(arrays)
     return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))

@@ -19,8 +19,9 @@ COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 class TrustSettings(Settings):
     """How the trust domain is drawn around the demonstrations."""
 
-    matching: Literal["step", "any"] = Field(
-        description="compare with the demonstrations' same step (the paper) or with any of their steps"
+    matching: Literal["step", "any", "everywhere", "nowhere"] = Field(
+        description="compare with the demonstrations' same step (the paper) or with any of their steps; or, to see what"
+        " the domain is good for, trust everything or nothing"
     )
     sigmas: float = Field(gt=0, description="k: half the width of the domain, in standard deviations")
     position_floor_m: float = Field(ge=0, description="least standard deviation of x, y, z [m]")
@@ -62,12 +63,12 @@ class TrustDomain:
         """Return the domain of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
 
         With matching by step, the statistics of step t are over the demonstrations that have a step t, as
-        in §3.4. With matching by any step, demonstrations are first aligned by their share of path travelled.
+        in §3.4. Otherwise demonstrations are first aligned by their share of path travelled.
         """
         components = [components_of(trajectory, frame) for trajectory in trajectories]
         padded = [np.concatenate([error, error[-1:]]) for error in errors]
         longest = max(len(rows) for rows in components)
-        if settings.matching == "any":
+        if settings.matching != "step":
             aligned = [components_of(to_count(trajectory, longest), frame) for trajectory in trajectories]
             stack = np.array(aligned)
             mean, deviation = stack.mean(axis=0), stack.std(axis=0)
@@ -86,6 +87,8 @@ class TrustDomain:
 
         The step count matters under matching by step only; past the demonstrations' end it is their last.
         """
+        if self.settings.matching in ("everywhere", "nowhere"):
+            return np.full(len(poses), self.settings.matching == "everywhere")
         rows = components_of(poses, self.frame)
         width = self.settings.sigmas * self.deviation
         known = self.known
@@ -107,10 +110,12 @@ class TrustDomain:
         """Return in a few words why a pose (7,) is not trusted, or an empty string if it is."""
         if self.inside(point[None], np.array([step]))[0]:
             return ""
+        if self.settings.matching == "nowhere":
+            return "nothing is trusted (trust.matching=nowhere)"
         row = components_of(point[None], self.frame)[0]
         sigmas = np.abs(row - self.mean) / np.where(self.deviation > 0, self.deviation, np.inf)
         nearest = min(step, len(self.mean) - 1)
-        if self.settings.matching == "any":
+        if self.settings.matching != "step":
             nearest = int(sigmas.max(axis=1).argmin())
         worst = int(sigmas[nearest].argmax())
         if sigmas[nearest, worst] > self.settings.sigmas:

@@ -146,9 +146,8 @@ def _shade(axes: Axes, asked: np.ndarray) -> None:
 
 
 def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
-    matrices = [("K", fitted.model.position.matrix, BLUE)]
-    if fitted.model.rotation is not None:
-        matrices = [("K_p", matrices[0][1], BLUE), ("K_o", fitted.model.rotation.koopman.matrix, ORANGE)]
+    models = fitted.model.matrices.items()
+    matrices = [(name, model.matrix, colour) for (name, model), colour in zip(models, (BLUE, ORANGE), strict=False)]
     angle = np.linspace(0, 2 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=1.0, label="unit circle")
     reach = 1.0

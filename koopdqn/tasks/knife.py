@@ -113,6 +113,20 @@ class KnifeTask(Task):
         unsafe = self.blade_angle(poses) > self.safe_angle_rad
         return np.asarray(unsafe & (self.blade_distance(poses) < self.rule_distance_m))
 
+    def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
+        """Return the blade's final angle, when it became safe, its least distance to the person and its speed."""
+        angle = self.blade_angle(path)
+        unsafe = np.flatnonzero(angle > self.safe_angle_rad)
+        until = 0.0 if not len(unsafe) else (unsafe[-1] + 1) / (len(path) - 1)
+        tip = np.array([0.0, 0.0, self._blade_ends[1]]) + 0.5 * self.blade_height_m * np.array(self.edge)
+        points = path[:, pose.POSITION] + pose.rotate(path[:, pose.QUATERNION], tip)
+        return {
+            "blade_angle_final_deg": float(np.degrees(angle[-1])),
+            "fraction_until_safe": min(1.0, float(until)),
+            "min_blade_distance_m": float(self.blade_distance(path).min()),
+            "blade_speed_m_s": float(np.linalg.norm(np.diff(points, axis=0), axis=1).max() / step_seconds),
+        }
+
     @property
     def _blade_ends(self) -> tuple[float, float]:
         return self.blade_start_m, self.blade_start_m + self.blade_length_m

@@ -94,6 +94,10 @@ class Task(Settings, ABC):
         """How the person turns; None where orientation is held."""
         return None
 
+    def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
+        """Return what evaluation reports of a path (T, 7) for this task alone, by key of ``eval.json``."""
+        return {}
+
     @property
     @abstractmethod
     def rule(self) -> str:

@@ -1,0 +1,115 @@
+"""The content of ``fit.json``: every key with its unit. Errors are of demonstrations left out of the fit."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from koopdqn.config.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
+from koopdqn.schema import ReportModel
+
+
+class PositionComponents(ReportModel):
+    """A quantity for each axis of the base frame."""
+
+    x: NonNegative = Field(description="along x of the base frame")
+    y: NonNegative = Field(description="along y of the base frame")
+    z: NonNegative = Field(description="along z of the base frame")
+
+
+class RotationComponents(ReportModel):
+    """A quantity for each component of a rotation vector in the demonstrated flange frame."""
+
+    about_x: NonNegative = Field(description="about x of the demonstrated flange frame")
+    about_y: NonNegative = Field(description="about y of the demonstrated flange frame")
+    about_z: NonNegative = Field(description="about z of the demonstrated flange frame")
+
+
+class ErrorSummary(ReportModel):
+    """One-step errors over all steps of all demonstrations, each predicted by the model fitted to the others."""
+
+    rms: NonNegative = Field(description="root mean square")
+    mean: NonNegative = Field(description="mean")
+    max: NonNegative = Field(description="largest")
+
+
+class PositionErrors(ErrorSummary):
+    """One-step errors of position, Eq. 15."""
+
+    rms_per_component: PositionComponents = Field(description="root mean square for each component")
+    max_per_component: PositionComponents = Field(description="largest absolute error for each component")
+
+
+class RotationErrors(ErrorSummary):
+    """One-step errors of orientation, Eq. 16."""
+
+    rms_per_component: RotationComponents = Field(description="root mean square for each component")
+    max_per_component: RotationComponents = Field(description="largest absolute error for each component")
+
+
+class ErrorPerStep(ReportModel):
+    """One-step errors by the step's number."""
+
+    mean: list[NonNegative] = Field(
+        description="(T − 1,) mean at every step over the demonstrations that have it; T samples has the longest"
+    )
+    max: list[NonNegative] = Field(description="(T − 1,) largest at every step")
+
+
+class RollOutError(ReportModel):
+    """Repeated prediction from the start of each demonstration, rescaled to the agent's step, by a model without it."""
+
+    final: list[NonNegative] = Field(description="(D,) distance to the goal after twice the demonstration's steps")
+    hausdorff: list[NonNegative] = Field(description="(D,) Hausdorff distance from the demonstration")
+    median_hausdorff: NonNegative = Field(description="median of hausdorff")
+    reached_goal: NonNegativeInt = Field(description="how many end within 5 mm of the goal; a count, no length")
+
+
+class TrustCoverage(ReportModel):
+    """How much of a demonstration left out lies in the trust domain drawn from the others."""
+
+    sigmas: Positive = Field(description="k: half the domain's width in standard deviations")
+    matching: Literal["step", "any"] = Field(description="how states are matched with the demonstrations' steps")
+    held_out_state_coverage: Fraction = Field(description="share of the states inside, mean over the demonstrations")
+    held_out_path_coverage: Fraction = Field(description="share of the demonstrations inside from end to end")
+    per_demonstration: list[Fraction] = Field(description="(D,) share of the states inside")
+
+
+class SixtySamples(ReportModel):
+    """The same one-step errors with every demonstration resampled to 60 poses, about the paper's number."""
+
+    rms_m: NonNegative = Field(description="root mean square error of position [m]")
+    persistence_rms_m: NonNegative = Field(description="the same for predicting no motion [m]")
+    rms_over_persistence: NonNegative = Field(description="rms_m over persistence_rms_m")
+    max_m: NonNegative = Field(description="largest error of position [m]")
+    paper_max_m: NonNegative | None = Field(description="what the paper reports for it; null if it reports none [m]")
+    rms_rad: NonNegative | None = Field(
+        description="root mean square error of orientation; null where orientation is held [rad]"
+    )
+    persistence_rms_rad: NonNegative | None = Field(description="the same for predicting no turn [rad]")
+    rms_over_persistence_rotation: NonNegative | None = Field(description="rms_rad over persistence_rms_rad")
+    max_rad: NonNegative | None = Field(description="largest error of orientation [rad]")
+
+
+class FitReport(ReportModel):
+    """The content of ``fit.json``. D demonstrations; the model of a fold has not seen the one it is measured on."""
+
+    task: Name = Field(description="name of the task")
+    intent: Name = Field(description="name of the intent's config option")
+    demonstrations: Count = Field(description="number D of demonstrations")
+    samples: list[Count] = Field(description="(D,) poses of each, resampled to the agent's step")
+    step_m: Positive = Field(description="the agent's step [m]")
+    one_step_error_m: PositionErrors = Field(description="one-step error of position, Eq. 15 [m]")
+    one_step_error_per_step_m: ErrorPerStep = Field(description="the same by the step's number [m]")
+    one_step_error_rad: RotationErrors | None = Field(
+        description="one-step error of orientation, Eq. 16; null where orientation is held [rad]"
+    )
+    one_step_error_per_step_rad: ErrorPerStep | None = Field(description="the same by the step's number [rad]")
+    roll_out_error_m: RollOutError = Field(description="repeated prediction; no distance is given as over 1000 m [m]")
+    spectral_radius: NonNegative = Field(
+        description="largest absolute eigenvalue of K (of K_p where there are two), fitted to all demonstrations"
+    )
+    spectral_radius_rotation: NonNegative | None = Field(description="the same of K_o; null where there is none")
+    lifted_dimension: Count = Field(description="rows of K, or of K_p")
+    trust: TrustCoverage = Field(description="coverage of the trust domain")
+    unmatched_share: Fraction = Field(description="share of the demonstrated steps that no action can match")
+    sixty_samples: SixtySamples = Field(description="errors at the paper's sampling")

@@ -1,0 +1,19 @@
+"""The base of the schemas of result files."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class ReportModel(BaseModel):
+    """Base of the parts of a report: immutable, no unknown keys, no coercion, no NaN or infinity.
+
+    A key's description says what it holds; a unit stands in square brackets at its end, and holds for the keys
+    below it too. Where nothing could be measured a value is None, which is null in JSON.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+"""A SHA-256 in hexadecimal digits."""
