@@ -12,7 +12,7 @@ PYTHON ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench package constraints clean
+.PHONY: help setup demo test learn lint format types bench docs figures package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -47,6 +47,12 @@ types: $(STAMP) ## Check types
 
 bench: $(STAMP) ## Measure speed on this machine
 	$(BIN)/python scripts/bench.py
+
+docs: $(STAMP) ## Write the generated tables of docs/files.md
+	$(BIN)/python scripts/docs.py
+
+figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; takes minutes
+	$(BIN)/python scripts/docs.py --measure
 
 package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
 	$(BIN)/python scripts/check_package.py

@@ -262,8 +262,11 @@ class TestOverrides:
             "hydra.output_subdir=null",
         ]
 
-    def test_only_train_continues(self, tmp_path: Path) -> None:
-        assert prepare("eval", [f"run={tmp_path}"]).overrides == [f"run={tmp_path}", "command=eval"]
+    def test_eval_takes_the_overrides_of_the_run_it_measures(self, tmp_path: Path) -> None:
+        record(tmp_path, ["task=knife", "out=here", "demos=x.hdf5", "command=train"])
+        found = prepare("eval", [f"run={tmp_path}", "seed=1"])
+        assert found.overrides == ["task=knife", "seed=1", f"run={tmp_path}", "command=eval"]
+        assert not found.continues
 
     def test_a_run_that_cannot_be_continued_is_explained(self, tmp_path: Path) -> None:
         def refusal(*overrides: str, multirun: bool = False) -> str:

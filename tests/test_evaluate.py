@@ -103,12 +103,12 @@ def test_a_policy_that_never_succeeds_is_measured_too() -> None:
     EvaluationReport.model_validate(report)
 
 
-def test_progress_rises_to_all_of_the_work() -> None:
+def test_progress_adds_up_to_all_of_the_work() -> None:
     known, told = taught(), list[int]()
     policy = Greedy(known.model, shelf().task)
     evaluate(shelf(), policy, known.model, known.trust, known.trajectories, SETTINGS, 30, told.append)
-    assert told == sorted(told)
-    assert told[-1] == work_units(SETTINGS) == 22
+    assert min(told) >= 0
+    assert sum(told) == work_units(SETTINGS) == 22
 
 
 def test_dynamics_runs_the_first_successful_paths_only() -> None:
@@ -166,7 +166,7 @@ def test_the_table_without_baselines_and_without_numbers_is_one_row_of_dashes() 
     report["tube_fraction"] = None
     text = printed(report, 100)
     assert "greedy" not in text
-    assert text.count(" – ") >= 3
+    assert "– / – mm" in text
 
 
 @pytest.mark.parametrize(

@@ -200,3 +200,14 @@ def test_angles_are_those_in_the_frame() -> None:
     drawn = TrustDomain.fit(shown, no_errors(shown), frame, settings("step"))
     assert np.abs(drawn.mean[:, 3:]).max() < 0.05
     assert drawn.inside(pose.make([0.05, 0.001, 0.0], left)[None], np.array([5]))[0]
+
+
+@given(x=st.floats(-1, 1), step=st.integers(0, 20))
+def test_trust_everywhere_and_nowhere_ask_nothing_of_the_pose(x: float, step: int) -> None:
+    shown = lines([-0.004, 0.0, 0.004])
+    errors = [np.full((len(rows) - 1, 2), 9.0) for rows in shown]
+    for matching, trusted in (("everywhere", True), ("nowhere", False)):
+        chosen = settings("any").model_copy(update={"matching": matching})
+        drawn = TrustDomain.fit(shown, errors, FRAME, chosen)
+        assert drawn.inside(at(x), np.array([step]))[0] == trusted
+        assert (drawn.outside(at(x)[0], step) == "") == trusted

@@ -1,5 +1,7 @@
 """The run folder: it must be new or empty, so that nothing a user made is overwritten."""
 
+import contextlib
+import itertools
 import os
 from pathlib import Path
 
@@ -7,21 +9,25 @@ from koopdqn.errors import BadInputError
 
 RESOLVER = "new_folder"
 """Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
+FREE_RESOLVER = "free_folder"
+"""Name of the OmegaConf resolver ``${free_folder:…}`` that conf/ puts around the run folder's default name."""
 
 
 def register_resolver(*, check: bool) -> None:
-    """Register ``${new_folder:PATH}``, which gives PATH back.
+    """Register ``${new_folder:PATH}``, which gives PATH back, and ``${free_folder:PATH}``, which may number it.
 
     Hydra asks for the run folder before it writes there, so that this is the moment to look: OmegaConf
     keeps what a resolver first returned, and the later requests of the same run (when the folder has
     begun to fill) see that.
 
     Args:
-        check: whether to refuse a folder that holds something; a config that is only shown need not.
+        check: whether to refuse a folder that holds something, and to take a free one for good; a config that
+            is only shown need not.
     """
     from omegaconf import OmegaConf
 
-    OmegaConf.register_new_resolver(RESOLVER, _checked if check else str, replace=True, use_cache=True)
+    for name, resolver in ((RESOLVER, _checked), (FREE_RESOLVER, _taken)):
+        OmegaConf.register_new_resolver(name, resolver if check else str, replace=True, use_cache=True)
 
 
 def require_new(folder: Path, ignore: str = "") -> None:
@@ -55,6 +61,19 @@ def require_writable(folder: Path) -> None:
         raise BadInputError(f"out: must name a folder that can be written, found {str(folder)!r} ({reason})") from error
     if not os.access(folder, os.W_OK | os.X_OK):
         raise BadInputError(f"out: must name a folder that can be written, found {str(folder)!r} (no permission)")
+
+
+def _taken(path: object) -> str:
+    """Make a folder that is nobody else's yet, numbered where the name is taken: the clock tells seconds only."""
+    wanted = Path(str(path))
+    require_writable(wanted.parent)
+    for number in itertools.count(1):
+        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
+        with contextlib.suppress(FileExistsError):
+            # of two commands started at once only one succeeds here
+            folder.mkdir()
+            break
+    return str(folder)
 
 
 def _checked(path: object) -> str:

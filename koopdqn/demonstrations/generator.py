@@ -101,9 +101,13 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
 
 
 def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Array:
+    # Only what lies sideways of the path tells two demonstrations apart.
+    along = np.gradient(task.nominal_path.points, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
     for _ in range(1000):
         shape = wander(task, rng)
-        apart = [np.linalg.norm(shape - other, axis=1).max() for other in others]
+        offsets = [shape - other for other in others]
+        apart = [np.linalg.norm(np.cross(offset, along), axis=1).max() for offset in offsets]
         if not apart or min(apart) >= _LEAST_DIFFERENCE * 2 * task.variation_m:
             return shape
     # A crowded set (many demonstrations) has no room for another that differs from all.

@@ -35,10 +35,11 @@ def read_journal(path: Path) -> list[dict[str, Any]]:
     """Return the entries of a journal; a last line cut off by a crash is left out.
 
     Raises:
-        BadInputError: a line before the last is no JSON object.
+        BadInputError: a line before the last is no JSON object, or an answer that lacks a field.
     """
     entries = []
-    lines = path.read_text(encoding="utf-8").split("\n")
+    # What follows the last line's end was torn off, even where it reads as JSON.
+    *lines, _ = path.read_bytes().split(b"\n")
     for number, line in enumerate(lines, start=1):
         if not line:
             continue
@@ -46,9 +47,9 @@ def read_journal(path: Path) -> list[dict[str, Any]]:
             item = json.loads(line)
             if not isinstance(item, dict):
                 raise ValueError("no JSON object")
+            if item.get("kind") == "answer" and not item.keys() >= {"right", "source", "seconds"}:
+                raise ValueError("an answer without right, source or seconds")
         except ValueError as error:
-            if number == len(lines):
-                break
             raise BadInputError(f"journal {path}: line {number} must be a JSON object, found: {error}") from error
         entries.append(item)
     return entries

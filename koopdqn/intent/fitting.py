@@ -14,6 +14,7 @@ from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.schema import FitReport
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.pose import Array
+from koopdqn.tasks.path import arc_lengths
 from koopdqn.tasks.task import TURNS_PER_STEP, Task
 
 _PAPER_SAMPLES = 60
@@ -123,9 +124,15 @@ def _check(demonstrations: Demonstrations, task: Task) -> None:
     for index, item in enumerate(demonstrations.items):
         if not task.reached(item.poses[-1:])[0]:
             distance = float(pose.position_distance(item.poses[-1], task.goal))
+            turn = float(pose.rotation_distance(item.poses[-1], task.goal))
             raise BadInputError(
-                f"demonstration {index} must end within {task.goal_tolerance_m:g} m of the goal of task {task.name},"
-                f" found {distance:.4f} m"
+                f"demonstration {index} must end within {task.goal_tolerance_m:g} m of the goal of task {task.name} and"
+                f" {task.goal_rotation_tolerance_rad:g} rad, found {distance:.4f} m and {turn:.4f} rad"
+            )
+        length = float(arc_lengths(item.poses[:, pose.POSITION])[-1])
+        if length < task.step_m:
+            raise BadInputError(
+                f"demonstration {index} must be at least one step of {task.step_m:g} m long, found {length:.2g} m"
             )
 
 

@@ -61,7 +61,7 @@ class RollOutError(ReportModel):
     final: list[NonNegative] = Field(description="(D,) distance to the goal after twice the demonstration's steps")
     hausdorff: list[NonNegative] = Field(description="(D,) Hausdorff distance from the demonstration")
     median_hausdorff: NonNegative = Field(description="median of hausdorff")
-    reached_goal: NonNegativeInt = Field(description="how many end within 5 mm of the goal; a count, no length")
+    reached_goal: NonNegativeInt = Field(description="how many end within 5 mm of the goal")
 
 
 class TrustCoverage(ReportModel):

@@ -113,7 +113,8 @@ class TrustDomain:
         if self.settings.matching == "nowhere":
             return "nothing is trusted (trust.matching=nowhere)"
         row = components_of(point[None], self.frame)[0]
-        sigmas = np.abs(row - self.mean) / np.where(self.deviation > 0, self.deviation, np.inf)
+        gap = np.abs(row - self.mean)
+        sigmas = np.where(gap > 0, gap / np.where(self.deviation > 0, self.deviation, 1e-12), 0.0)
         nearest = min(step, len(self.mean) - 1)
         if self.settings.matching != "step":
             nearest = int(sigmas.max(axis=1).argmin())

@@ -72,6 +72,10 @@ class Task(Settings, ABC):
             length = float(np.linalg.norm(getattr(self, name)))
             if abs(length - 1.0) > 1e-3:
                 raise ValueError(f"{name} must have length 1 within 0.001, found {length:g}")
+        if self.start_tilt_rad > 0 and pose.rotation_distance(self.nominal_start, self.goal) < 1e-9:
+            raise ValueError(
+                f"start_tilt_rad must be 0 where start and goal are turned alike, found {self.start_tilt_rad:g}"
+            )
         if min(self.start_half_range_m) < 0:
             raise ValueError(f"start_half_range_m must not be negative, found {self.start_half_range_m}")
         return self

@@ -123,13 +123,17 @@ class Trainer:
         """
         while not self._finished():
             self._round()
+            checks = []
             for _ in range(self.agent.updates_per_round):
                 if self.env_steps < self.agent.warm_up:
                     break
                 self._losses.append(self.learner.update(self._replay.sample(self._batch_rng, self.agent.batch)))
                 if self.learner.updates % self.settings.check_every == 0:
-                    on_check(self._check())
+                    checks.append(self._check())
             self.rounds += 1
+            # Only between rounds is the state whole: a run saved within one could not go on with its rest.
+            for check in checks:
+                on_check(check)
             on_round()
 
     def _finished(self) -> bool:

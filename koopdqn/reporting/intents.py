@@ -1,0 +1,119 @@
+"""Fitting the intents anew to a run's demonstrations: the paper's lift, the default, and what they are held against."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.resample import to_count
+from koopdqn.intent.fitting import agent_steps, fit
+from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.trust import TrustDomain, TrustSettings
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+INTENTS: Final = ("paper", "fourier", "line", "joint")
+"""The compared options of the config group ``intent``, in the order of tables."""
+SAMPLES: Final = 60
+"""Poses of a demonstration in the comparison with the paper, whose figures mention steps up to 52."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How an intent fitted to the other demonstrations predicts one that it has not seen.
+
+    Attributes:
+        demonstration: which one is held out, from 0.
+        error: (N - 1, 2) one-step errors of the raw prediction at the agent's step [m, rad].
+        rescaled: (N - 1, 2) the same of the prediction rescaled to the agent's step [m, rad].
+        asked: (N - 1,) whether the trust domain drawn from the others leaves a step to the expert.
+        sixty: (59, 2) raw one-step errors with every demonstration resampled to 60 poses [m, rad].
+    """
+
+    demonstration: int
+    error: Array
+    rescaled: Array
+    asked: np.ndarray
+    sixty: Array
+
+    def content(self) -> dict[str, Any]:
+        """Return it as JSON values."""
+        return {
+            "demonstration": self.demonstration,
+            "one_step_error_m": self.error[:, 0].tolist(),
+            "one_step_error_rad": self.error[:, 1].tolist(),
+            "rescaled_one_step_error_m": self.rescaled[:, 0].tolist(),
+            "rescaled_one_step_error_rad": self.rescaled[:, 1].tolist(),
+            "asked": self.asked.tolist(),
+            "sixty_samples_error_m": self.sixty[:, 0].tolist(),
+            "sixty_samples_error_rad": self.sixty[:, 1].tolist(),
+        }
+
+
+@dataclass(frozen=True)
+class IntentStudy:
+    """An intent fitted to a run's demonstrations.
+
+    Attributes:
+        name: of the intent's config option.
+        trust: how its trust domain is drawn.
+        report: the content of a ``fit.json``.
+        held_out: the demonstration shown in figures, predicted by the others.
+    """
+
+    name: str
+    trust: TrustSettings
+    report: dict[str, Any]
+    held_out: HeldOut
+
+    def content(self) -> dict[str, Any]:
+        """Return what the report's own file of it holds, as JSON values."""
+        return {"fit": self.report, "held_out": self.held_out.content()}
+
+
+def study(
+    demonstrations: Demonstrations, task: Task, intent: IntentSettings, trust: TrustSettings, shown: int = 0
+) -> IntentStudy:
+    """Return an intent's cross-validated report and its errors on one held-out demonstration.
+
+    Args:
+        demonstrations: of the task, at least three (one is held out of a set that is itself cross-validated).
+        task: gives goal, step and tolerances.
+        intent: how the model is fitted.
+        trust: how the trust domain is drawn.
+        shown: which demonstration is held out.
+
+    Raises:
+        BadInputError: the demonstrations do not fit the task, or are too few.
+    """
+    fitted = fit(demonstrations, task, intent, trust)
+    trajectories = agent_steps(demonstrations, task)
+    raw, rescaled = [], []
+    for index, trajectory in enumerate(trajectories):
+        model = IntentModel.fit(_without(trajectories, index), task, intent)
+        raw.append(_distances(model.predict(trajectory[:-1]), trajectory[1:]))
+        rescaled.append(_distances(model.preferred(trajectory[:-1], task.step_m), trajectory[1:]))
+    counted = raw if trust.error_of == "raw" else rescaled
+    domain = TrustDomain.fit(_without(trajectories, shown), _without(counted, shown), task.frame, trust)
+    inside = domain.inside(trajectories[shown], np.arange(len(trajectories[shown])))
+    # As the reward does: the reached state must be trusted, by default the one before as well.
+    asked = ~inside[1:] if trust.needs == "reached" else ~(inside[1:] & inside[:-1])
+    held_out = HeldOut(shown, raw[shown], rescaled[shown], asked, _sixty(demonstrations, task, intent, shown))
+    return IntentStudy(intent.name, trust, fitted.report, held_out)
+
+
+def _sixty(demonstrations: Demonstrations, task: Task, intent: IntentSettings, shown: int) -> Array:
+    trajectories = [to_count(item.poses, SAMPLES) for item in demonstrations.items]
+    model = IntentModel.fit(_without(trajectories, shown), task, intent)
+    return _distances(model.predict(trajectories[shown][:-1]), trajectories[shown][1:])
+
+
+def _without(items: list[Array], index: int) -> list[Array]:
+    return items[:index] + items[index + 1 :]
+
+
+def _distances(a: Array, b: Array) -> Array:
+    """Return position [m] and rotation [rad] distances (N, 2) of poses (N, 7), Eqs. 15, 16."""
+    return np.stack([pose.position_distance(a, b), pose.rotation_distance(a, b)], axis=1)

@@ -1,0 +1,187 @@
+"""Finding finished runs: trainings with their recorded config, each with the newest evaluation of it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from koopdqn.artifact import read_artifact
+from koopdqn.config.settings import TARGET, load_settings
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.schema import EvaluationFile
+from koopdqn.files import digest, read_json
+from koopdqn.robot.arm import Arm
+from koopdqn.tasks.task import Task
+from koopdqn.training.schema import TrainReport
+
+TRAINING: Final = "train.json"
+EVALUATION: Final = "eval.json"
+POLICY: Final = "policy.safetensors"
+DEMONSTRATIONS: Final = "demos.hdf5"
+ABLATIONS: Final = "ablations"
+"""Name of the folder below ``runs/`` whose runs are shown in a table of their own."""
+
+# What tells two runs of one configuration apart.
+_OF_ONE_RUN: Final = ("seed", "made_from", "network")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished training run.
+
+    Attributes:
+        folder: where it lies.
+        train: the content of its ``train.json``.
+        about: the metadata of its policy: the config that shaped it.
+        task: the task it learned.
+        arm: the arm it learned with.
+        evaluation_file: the newest evaluation of it, or None.
+        evaluation: the content of that file, or None.
+    """
+
+    folder: Path
+    train: Mapping[str, Any]
+    about: Mapping[str, Any]
+    task: Task
+    arm: Arm
+    evaluation_file: Path | None = None
+    evaluation: Mapping[str, Any] | None = None
+
+    @property
+    def seed(self) -> int:
+        """The run's seed."""
+        return int(self.train["seed"])
+
+    @property
+    def key(self) -> str:
+        """What runs of one configuration share, whatever their seed."""
+        return configuration_key(self.about)
+
+    @property
+    def train_file(self) -> Path:
+        """Its ``train.json``."""
+        return self.folder / TRAINING
+
+    @property
+    def demonstrations_file(self) -> Path:
+        """Its demonstrations."""
+        return self.folder / DEMONSTRATIONS
+
+    @property
+    def age(self) -> int:
+        """When it was finished [ns]; larger is newer."""
+        return self.train_file.stat().st_mtime_ns
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A folder that looks like a run and is not used.
+
+    Attributes:
+        folder: where it lies.
+        reason: why.
+    """
+
+    folder: Path
+    reason: str
+
+
+def configuration_key(about: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of what decides a training run's bytes, less its seed."""
+    return digest({name: value for name, value in about.items() if name not in _OF_ONE_RUN})
+
+
+def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[list[Run], list[Skipped]]:
+    """Return the finished runs below folders, and what looks like one but cannot be used.
+
+    Args:
+        folders: searched for training runs and for evaluations; what lies below a folder named
+            ``ablations`` is left out.
+        elsewhere: searched for evaluations only.
+
+    Raises:
+        BadInputError: one of ``folders`` does not exist.
+    """
+    for folder in folders:
+        if not folder.is_dir():
+            raise BadInputError(f"report.runs: must name folders that exist, found {str(folder)!r}")
+    evaluations = _evaluations([*folders, *elsewhere])
+    runs: dict[Path, Run] = {}
+    skipped: dict[Path, Skipped] = {}
+    for file in _below(folders, TRAINING):
+        folder = file.parent
+        if not (folder / POLICY).is_file():
+            continue
+        try:
+            runs[folder.resolve()] = _with_evaluation(_read(folder), evaluations)
+        except BadInputError as error:
+            skipped[folder.resolve()] = Skipped(folder, str(error))
+    return list(runs.values()), list(skipped.values())
+
+
+def _below(folders: Sequence[Path], name: str) -> list[Path]:
+    found = []
+    for folder in folders:
+        files = sorted(folder.rglob(name)) if folder.is_dir() else []
+        found += [file for file in files if ABLATIONS not in file.relative_to(folder).parts]
+    return found
+
+
+def _read(folder: Path) -> Run:
+    train = read_json(folder / TRAINING, "the training report")
+    try:
+        train = TrainReport.model_validate(train).model_dump(mode="json")
+    except ValidationError as error:
+        raise BadInputError(f"{folder / TRAINING} must be a training report of this release: {_first(error)}") from error
+    if not (folder / DEMONSTRATIONS).is_file():
+        raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
+    about = read_artifact(folder / POLICY, "policy").about
+    try:
+        nodes = about["task"], about["robot"]
+    except KeyError as error:
+        raise BadInputError(f"{folder / POLICY} must say what shaped it, found no {error}") from error
+    task = load_settings(_without_item_targets(nodes[0]), Task, "task")
+    return Run(folder, train, about, task, load_settings(_without_item_targets(nodes[1]), Arm, "robot"))
+
+
+def _first(error: ValidationError) -> str:
+    first = error.errors()[0]
+    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+
+
+def _without_item_targets(node: Any) -> Any:
+    """Return a node whose lists' items name no class, as a settings class takes them."""
+    if isinstance(node, Mapping):
+        return {key: _without_item_targets(value) for key, value in node.items()}
+    if isinstance(node, list):
+        plain = [{k: v for k, v in item.items() if k != TARGET} if isinstance(item, Mapping) else item for item in node]
+        return [_without_item_targets(item) for item in plain]
+    return node
+
+
+def _evaluations(folders: Sequence[Path]) -> list[tuple[Path, Mapping[str, Any]]]:
+    """Return evaluation files with their contents, the newest first; what is no evaluation is passed over."""
+    found: dict[Path, tuple[Path, Mapping[str, Any]]] = {}
+    for file in _below(folders, EVALUATION):
+        try:
+            content = EvaluationFile.model_validate(read_json(file, "the evaluation")).model_dump(mode="json")
+        except (BadInputError, ValidationError):
+            continue
+        found[file.resolve()] = (file, content)
+    return sorted(found.values(), key=lambda item: item[0].stat().st_mtime_ns, reverse=True)
+
+
+def _with_evaluation(run: Run, evaluations: Sequence[tuple[Path, Mapping[str, Any]]]) -> Run:
+    for file, content in evaluations:
+        if content["task"] == run.task.name and _measures(file, str(content["run"]), run.folder):
+            return Run(run.folder, run.train, run.about, run.task, run.arm, file, content)
+    return run
+
+
+def _measures(file: Path, named: str, folder: Path) -> bool:
+    """Return whether an evaluation names a run's folder, as seen from any folder that it may have been made in."""
+    wanted = folder.resolve()
+    bases = [Path.cwd(), *file.resolve().parents]
+    return any((base / named).resolve() == wanted for base in bases)

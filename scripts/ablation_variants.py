@@ -1,0 +1,49 @@
+"""The variants that `make ablations` measures: the default config with one idea left out or put in its place."""
+
+from dataclasses import dataclass
+from typing import Final
+
+# Four times the actions that the default config needs to learn; variants that store one action a step, not all that
+# are known, need far fewer and have their own limit, again four times what they need.
+ALL_TRIED: Final = 430_000
+ONE_TRIED: Final = 64_000
+
+
+@dataclass(frozen=True)
+class Variant:
+    """The default config with something left out or put in its place.
+
+    Attributes:
+        name: of the variant and of its folder.
+        overrides: what it changes.
+        about: in a few words what that is; D numbers are those of docs/algorithm.md.
+        most_actions: limit of the training, in actions tried.
+    """
+
+    name: str
+    overrides: tuple[str, ...]
+    about: str
+    most_actions: int = ALL_TRIED
+
+
+VARIANTS: Final = (
+    Variant("default", (), "the default config"),
+    Variant(
+        "chosen", ("agent.trials=chosen", "agent.step_back=true"), "one action a step, stepping back (D13)", ONE_TRIED
+    ),
+    Variant(
+        "no-step-back", ("agent.trials=chosen", "agent.step_back=false"), "the same without stepping back", ONE_TRIED
+    ),
+    Variant("trust-everywhere", ("trust=everywhere",), "no trust domain: the model decides everywhere (D7)"),
+    Variant("trust-nowhere", ("trust=nowhere",), "the person is always asked"),
+    Variant("one-sigma", ("trust.sigmas=1.0",), "trust within 1 σ (default: 3 σ; D7)"),
+    Variant("two-sigmas", ("trust.sigmas=2.0",), "trust within 2 σ (D7)"),
+    Variant("line", ("intent=line",), "a line fit instead of a Koopman model"),
+    Variant("paper-lift", ("intent=paper",), "the paper's lift, fitted as the paper does (D1–D3)"),
+    Variant("no-copies", ("intent.stabilisation.copies=0",), "no made-up states (D2)"),
+    Variant("raw-prediction", ("reward.prediction=raw",), "the raw prediction is compared (D4)"),
+    Variant("sign", ("reward.shape=sign",), "rewards of one size (D5)"),
+    Variant("no-doubt", ("reward.doubt=0.0",), "close comparisons count too (D6)"),
+    Variant("no-exploring", ("agent.exploring_starts=0.0",), "every episode begins at a start (D14)"),
+    Variant("gamma-0", ("agent.gamma=0.0",), "no look-ahead: γ = 0 (D16)"),
+)
