@@ -8,11 +8,13 @@ SHELL := bash
 VENV ?= .venv
 # The interpreter the environment is made with, once; empty: the first on PATH that is new enough.
 PYTHON ?=
+# The tasks that `make ablations` measures: shelf, knife or both.
+TASKS ?= shelf
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench docs figures package constraints clean
+.PHONY: help setup demo test learn lint format types bench ablations docs figures package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -47,6 +49,9 @@ types: $(STAMP) ## Check types
 
 bench: $(STAMP) ## Measure speed on this machine
 	$(BIN)/python scripts/bench.py
+
+ablations: $(STAMP) ## Measure what each idea adds, on TASKS; takes about half an hour a task, goes on where it stopped
+	$(BIN)/python scripts/ablations.py --tasks $(TASKS)
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py

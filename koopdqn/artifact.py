@@ -73,7 +73,7 @@ def read_artifact(path: Path, kind: str) -> Artifact:
     """
     what = f"{kind} file {path}"
     if not path.is_file():
-        raise BadInputError(f"{what} must exist, found nothing there")
+        raise BadInputError(f"{what} must exist, found {'a folder' if path.is_dir() else 'nothing'} there")
     try:
         text, arrays = _read_npz(path) if path.suffix == ".npz" else _read_safetensors(path)
         header = json.loads(text)

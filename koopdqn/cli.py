@@ -4,6 +4,7 @@ import contextlib
 import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +34,10 @@ _COMMANDS = {
     "eval": (
         "Measure a trained run on held-out starts.",
         ("koopdqn eval", "koopdqn eval run=DIR --json"),
+    ),
+    "report": (
+        "Draw the paper's figures and tables beside ours, from finished runs.",
+        ("koopdqn report", "koopdqn report --make", "koopdqn report 'report.runs=[DIR,DIR]'"),
     ),
 }
 """The commands that take a config: what each does, and examples."""
@@ -118,6 +123,9 @@ ConfigName = Annotated[
         "--config-name", "-cn", metavar="NAME", help="Use this primary config instead.", rich_help_panel=_HYDRA
     ),
 ]
+Make = Annotated[
+    bool, typer.Option("--make", help="Train and evaluate what is missing first; the same as report.make=true.")
+]
 HydraHelp = Annotated[bool, typer.Option("--hydra-help", help="Print Hydra's own help.", rich_help_panel=_HYDRA)]
 RunFlag = Annotated[bool, typer.Option("--run", "-r", help="Run one job (the default).", rich_help_panel=_HYDRA)]
 ShellCompletion = Annotated[
@@ -145,6 +153,7 @@ def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
         overrides: Overrides = None,
         as_json: AsJson = False,
         debug: Debug = False,
+        make: Make = False,
         multirun: MultiRun = False,
         run: RunFlag = False,
         cfg: Cfg = None,
@@ -174,10 +183,15 @@ def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
                 "--config-path": config_path and str(Path(config_path).absolute()),
                 "--config-name": config_name,
             }
-            return _compose_and_run(name, options, overrides or [], as_json=as_json)
+            given = [*(overrides or []), *(["report.make=true"] if make else [])]
+            return _compose_and_run(name, options, given, as_json=as_json)
 
         return guard(work, debug=debug)
 
+    if name != "report":
+        kept = [item for item in signature(command).parameters.values() if item.name != "make"]
+        # Typer makes the options from this, so that no other command has one that would do nothing.
+        command.__signature__ = signature(command).replace(parameters=kept)  # type: ignore[attr-defined]  # as in PEP 362
     shown = "\n\n".join(f"[bold]{example}[/]" for example in examples)
     app.command(name, short_help=summary, help=summary, epilog=f"Examples\n\n{shown}")(command)
 

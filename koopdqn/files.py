@@ -1,14 +1,24 @@
 """Files that appear whole or not at all, and JSON that is the same bytes for the same content."""
 
+import errno
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from koopdqn.errors import BadInputError
+from koopdqn.errors import BadInputError, WorkFailedError
+
+
+class DivergedError(WorkFailedError, ValueError):
+    """A result that must be a finite number is none: the numbers of the computation have diverged."""
+
+
+OUT_OF_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+"""Errors of the operating system by which good input comes to nothing."""
 
 
 @contextmanager
@@ -16,7 +26,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path`` that replaces it when the block ends well.
 
     Raises:
-        BadInputError: the folder cannot be written, or the disk is full.
+        BadInputError: the folder cannot be written.
+        WorkFailedError: the disk is full or broken.
     """
     temporary = path.with_name(f".{path.name}.part")
     try:
@@ -26,7 +37,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
-        raise BadInputError(f"{path} must be writable, the system says: {error.strerror or error}") from error
+        kind = WorkFailedError if error.errno in OUT_OF_ROOM else BadInputError
+        raise kind(f"{path} must be writable, the system says: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
             temporary.unlink()
@@ -39,13 +51,33 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file for people: sorted keys, indented. NaN and infinity are refused."""
+    """Write a JSON file for people: sorted keys, indented.
+
+    Raises:
+        DivergedError: a number is NaN or infinite.
+    """
+    _require_finite(content, path.name)
     write_text(path, json.dumps(content, indent=2, sort_keys=True, allow_nan=False) + "\n")
 
 
 def canonical_json(content: Any) -> str:
-    """Return the one JSON text of a content: sorted keys, no spaces, no NaN."""
+    """Return the one JSON text of a content: sorted keys, no spaces.
+
+    Raises:
+        DivergedError: a number is NaN or infinite.
+    """
+    _require_finite(content, "")
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+
+
+def _require_finite(content: Any, where: str) -> None:
+    """Raise unless every number is finite: settings have none that is not, so the computation has diverged."""
+    if isinstance(content, float) and not math.isfinite(content):
+        name = where or "a result"
+        raise DivergedError(f"{name}: must be JSON compliant, so finite, found {content}: the numbers diverged")
+    items = content.items() if isinstance(content, dict) else enumerate(content) if isinstance(content, list) else ()
+    for key, value in items:
+        _require_finite(value, f"{where}.{key}".removeprefix("."))
 
 
 def digest(content: Any) -> str:

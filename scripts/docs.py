@@ -256,16 +256,23 @@ MEASURED: Final[Mapping[str, Callable[[Mapping[str, Sequence[Mapping[str, Any]]]
     "results": results_table,
     "intents": intent_table,
 }
-"""The README's measured tables and what makes them, from all runs; its part ``demo`` is printed by the demo."""
+"""The README's measured tables and what makes them from all runs; ``demo`` and ``machine`` are its other parts."""
+
+
+def machine() -> str:
+    """Return a sentence about what the figures are measured on, and how busy it is before."""
+    return f"Measured on {os.cpu_count()} cores; the load average before the first run was {os.getloadavg()[0]:.1f}."
 
 
 def measure() -> None:
     """Measure everything the README states and write it there."""
     IMAGES.mkdir(exist_ok=True)
+    measured_on = machine()
     with tempfile.TemporaryDirectory(prefix="koopdqn-docs-") as name:
         printed = demo_output(Path(name))
         runs = measured_runs(Path(name))
     text = replaced(README.read_text(encoding="utf-8"), "demo", printed)
+    text = replaced(text, "machine", measured_on)
     for part, table in MEASURED.items():
         text = replaced(text, part, table(runs))
     README.write_text(text, encoding="utf-8")

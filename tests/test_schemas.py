@@ -22,17 +22,30 @@ from koopdqn.training import schema as training_schema
 from koopdqn.training.schema import TrainReport
 
 FILES = Path(__file__).resolve().parents[1] / "docs" / "files.md"
-# The knife turns, so that nothing about orientation is null, and its small model is not trusted everywhere.
+# The knife turns, so that nothing about orientation is null. Steps four times as long make whole episodes short, and a
+# narrow tube makes questions.
 SMALL = (
     "task=knife",
+    "task.step_m=0.0084",
+    "task.position_tolerance_m=0.008",
+    "task.rotation_tolerance_rad=0.04",
+    "task.turn_gain=0.176",
+    "task.turn_slowest_rad=0.048",
     "demo.count=3",
     "intent.observables.count=40",
     "intent.stabilisation.copies=1",
-    "agent.warm_up=1000",
-    "agent.replay=5000",
+    "trust.error_limit_m=0.004",
+    "trust.error_limit_rad=0.04",
+    "trust.sigmas=2.0",
+    "agent.warm_up=500",
+    "agent.replay=2000",
+    "agent.batch=64",
+    "agent.updates_per_round=4",
+    "agent.episodes_at_once=4",
+    "agent.exploring_starts=0.5",
     "agent.exploring_steps=10",
-    "train.check_every=20",
-    "train.max_steps=4000",
+    "train.check_every=60",
+    "train.max_steps=2500",
     "eval.episodes=3",
     "eval.dynamics_episodes=1",
 )

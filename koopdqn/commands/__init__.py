@@ -3,13 +3,20 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koopdqn.errors import unknown_name
+from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.result import CommandResult
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-COMMANDS = ("demo", "fit", "train", "eval")
+# Inputs of other commands; given to this one they would change nothing.
+_FOREIGN_INPUTS = {
+    "demo": ("run", "demos", "intent_file"),
+    "fit": ("run", "intent_file"),
+    "eval": ("demos", "intent_file"),
+    "report": ("run", "demos", "intent_file"),
+}
+COMMANDS = ("demo", "fit", "train", "eval", "report")
 
 
 def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
@@ -22,6 +29,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     if command not in COMMANDS:
         raise unknown_name("command", command, COMMANDS)
     import logging
+    import sys
+    import warnings
     from importlib import import_module
 
     from koopdqn.robot.rendering_backend import prepare_rendering
@@ -32,5 +41,15 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.commands.configuration import Configuration
 
-    result: CommandResult = import_module(f"koopdqn.commands.{command}").run(Configuration.load(config), folder)
+    settings = Configuration.load(config)
+    for key in _FOREIGN_INPUTS.get(command, ()):
+        value = getattr(settings.inputs, key)
+        if value is not None:
+            name = "intent" if key == "intent_file" else key
+            raise BadInputError(f"{name}: koopdqn {command} reads no such file or folder, found {str(value)!r}")
+    with warnings.catch_warnings():
+        # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
+        if not sys.warnoptions:
+            warnings.simplefilter("ignore", RuntimeWarning)
+        result: CommandResult = import_module(f"koopdqn.commands.{command}").run(settings, folder)
     return result

@@ -15,6 +15,7 @@ from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.feedback.oracle import OracleSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.trust import TrustSettings
+from koopdqn.reporting.settings import ReportSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.tasks.task import Task
 from koopdqn.training.settings import TrainSettings
@@ -49,6 +50,7 @@ class Configuration:
     reward: RewardSettings
     train: TrainSettings
     eval: EvaluationSettings
+    report: ReportSettings
 
     @classmethod
     def load(cls, config: Mapping[Any, Any]) -> "Configuration":
@@ -71,6 +73,7 @@ class Configuration:
             "reward": RewardSettings,
             "train": TrainSettings,
             "eval": EvaluationSettings,
+            "report": ReportSettings,
         }
         own = set(Inputs.model_fields)
         for key in content:

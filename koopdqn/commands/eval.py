@@ -8,6 +8,7 @@ from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
 from koopdqn.commands.train import POLICY, REPORT
+from koopdqn.config.messages import shown
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
@@ -36,7 +37,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     for name, sha in made_from.items():
         if about["made_from"][name] != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
-    step_limit = int(read_json(source / REPORT, "the training report")["step_limit"])
+    step_limit = _step_limit(source / REPORT)
     workcell = stages.open_scene(config)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
@@ -69,3 +70,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if (source / "fit.png").exists():
         lines.append(f"fit errors      {console.shown_path(source / 'fit.png')}")
     return CommandResult(report, lines, objective=report["success_rate"])
+
+
+def _step_limit(path: Path) -> int:
+    report = read_json(path, "the training report")
+    limit = report.get("step_limit") if isinstance(report, dict) else None
+    if not isinstance(limit, int) or limit < 1:
+        raise BadInputError(f"{path}: step_limit must be a whole number above 0, found {shown(limit)}")
+    return limit

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from koopdqn import console
 from koopdqn.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -10,9 +12,9 @@ from koopdqn.demonstrations.generator import generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
-from koopdqn.intent.fitting import Fitted, fit
+from koopdqn.intent.fitting import Fitted, agent_steps, fit
 from koopdqn.intent.storage import StoredIntent, read_intent
-from koopdqn.pose import Array
+from koopdqn.pose import POSITION, Array
 from koopdqn.robot.scene import Scene
 from koopdqn.workcell import Workcell, open_workcell
 
@@ -29,7 +31,7 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
     """Return the demonstrations of ``demos=``, or those of the run folder, or new ones; the folder keeps them.
 
     Raises:
-        BadInputError: the file is damaged or of another task.
+        BadInputError: the file is damaged, of another task, or not what the run folder holds already.
     """
     kept = folder / DEMONSTRATIONS
     source = config.inputs.demos
@@ -39,11 +41,24 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
         demonstrations = read_hdf5(source)
         if demonstrations.task != config.task.name:
             raise BadInputError(f"demos {source}: must be of task {config.task.name}, found task {demonstrations.task}")
+        _check_reach(config, demonstrations, source)
     else:
         demonstrations, _ = new_demonstrations(config, workcell)
     if not kept.exists():
         write_hdf5(kept, demonstrations)
+    elif source != kept and read_hdf5(kept).digest() != demonstrations.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {source}")
     return demonstrations
+
+
+def _check_reach(config: Configuration, demonstrations: Demonstrations, source: Path) -> None:
+    for index, poses in enumerate(agent_steps(demonstrations, config.task)):
+        for pose in poses:
+            if not len(config.robot.solutions(pose)):
+                raise BadInputError(
+                    f"demos {source}: demonstration {index} must stay within the arm's reach, found"
+                    f" {np.round(pose[POSITION], 3).tolist()} m"
+                )
 
 
 def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demonstrations, dict[str, int]]:
@@ -62,9 +77,10 @@ def fitted_intent(config: Configuration, demonstrations: Demonstrations, folder:
     with console.stage("Fitting the intent", len(demonstrations)) as stage:
         fitted = fit(demonstrations, config.task, config.intent, config.trust, lambda done: stage.advance())
     stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
-    stored.write(folder / INTENT, config.task)
     write_json(folder / "fit.json", fitted.report)
     plot_fit(folder / "fit.png", fitted, demonstrations, config.task)
+    # Last, since a run that goes on takes this file as the sign that all was made.
+    stored.write(folder / INTENT, config.task)
     return stored, fitted
 
 
@@ -72,7 +88,8 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
     """Return the intent of ``intent=FILE``, or that of the run folder, or a newly fitted one; the folder keeps it.
 
     Raises:
-        BadInputError: the file is damaged, or was fitted to another task or other demonstrations.
+        BadInputError: the file is damaged, was fitted to another task or other demonstrations, or is not what
+            the run folder holds already.
     """
     kept = folder / INTENT
     source = config.inputs.intent_file
@@ -85,6 +102,8 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
         raise BadInputError(f"intent {source}: must be fitted to the demonstrations used, found it fitted to others")
     if not kept.exists():
         stored.write(kept, config.task)
+    elif source != kept and read_intent(kept, config.task).digest() != stored.digest():
+        raise BadInputError(f"intent: must be the one that the run holds in {kept}, found another in {source}")
     return stored
 
 

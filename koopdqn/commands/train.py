@@ -7,6 +7,8 @@ from typing import Any
 from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
+from koopdqn.dqn.memory import check_memory
+from koopdqn.dqn.observation import size
 from koopdqn.dqn.policy import write_policy
 from koopdqn.environment.reward import IntentReward
 from koopdqn.feedback.journal import JournalledOracle
@@ -29,6 +31,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.plots.train import plot_training
 
     began = monotonic()
+    check_memory(config.agent, size(config.task))
     workcell = stages.open_scene(config)
     demonstrations = stages.demonstrations_for(config, workcell, folder)
     intent = stages.intent_for(config, demonstrations, folder)

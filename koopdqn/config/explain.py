@@ -1,14 +1,14 @@
 """What went wrong, as one line: errors of Hydra, OmegaConf, YAML and the operating system in koopdqn's words."""
 
-import errno
 from collections.abc import Iterator
 from pathlib import Path
 
 from koopdqn.config.messages import shown
 from koopdqn.errors import BadInputError, KoopdqnError, WorkFailedError, unknown_name
+from koopdqn.files import OUT_OF_ROOM
 
 _NOISE = ("See https://", "object_type=", "reference_type=", "full_key:")
-_OUT_OF_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
+_TORCH_ALLOCATOR = "can't allocate memory"
 
 
 def explain(error: BaseException) -> KoopdqnError | None:
@@ -24,7 +24,17 @@ def explain(error: BaseException) -> KoopdqnError | None:
         known = _from_hydra(link) or _from_yaml(link) or _raised_by_hydra(link)
         if known:
             return known
-    return _from_system(error) if isinstance(error, OSError) else None
+    return _from_system(error) if isinstance(error, OSError) else _from_computation(error)
+
+
+def _from_computation(error: BaseException) -> WorkFailedError | None:
+    # by name, so that NumPy need not be loaded to say what a misspelt override is
+    if type(error).__name__ == "LinAlgError":
+        return WorkFailedError(f"the numbers diverged: {_in_one_line(str(error))}")
+    # torch has no class of its own for it on the CPU
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and _TORCH_ALLOCATOR in str(error)):
+        return WorkFailedError(f"this machine's memory does not suffice: {_in_one_line(str(error)) or 'none is left'}")
+    return None
 
 
 def _chain(error: BaseException) -> Iterator[BaseException]:
@@ -109,7 +119,7 @@ def _from_yaml(error: BaseException) -> BadInputError | None:
 def _from_system(error: OSError) -> KoopdqnError:
     reason = error.strerror or _in_one_line(str(error)) or type(error).__name__
     text = f"{_relative(error.filename)}: {reason}" if error.filename else reason
-    if error.errno is None or error.errno in _OUT_OF_ROOM:
+    if error.errno is None or error.errno in OUT_OF_ROOM:
         return WorkFailedError(text)
     return BadInputError(text)
 

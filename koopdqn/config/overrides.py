@@ -14,9 +14,12 @@ PATH_KEYS: Final = ("out", "run", "demos", "intent_file")
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
 _PLAIN_VALUE: Final = re.compile(r"[A-Za-z0-9_./-]*")
+_NUMBER_OR_BOOLEAN: Final = re.compile(r"-?[\d._]*\d[\d._]*(e-?\d+)?|-?inf|nan|true|false", re.IGNORECASE)
+"""Values that Hydra reads as something else than a text."""
 _INTENT_SUFFIXES: Final = (".npz", ".safetensors")
 _RECORD: Final = Path(".hydra") / "overrides.yaml"
 _OWN_KEYS: Final = ("command", "out", "run")
+_COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,10 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
-      bracket), and a leading ``~/`` is the home folder.
+      bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
-      after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone.
+      after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone. Inputs that DIR keeps
+      a copy of are read from there, wherever the files first given are by now.
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
       robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
     - ``command=`` is set to the command's name.
@@ -61,7 +65,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
     if command == "eval":
-        return _prepare_evaluation(prepared, folders[-1] if folders else str(newest_trained_run()))
+        named = bool(folders) and folders[-1] != "null"
+        return _prepare_evaluation(prepared, folders[-1] if named else str(newest_trained_run()))
     if command != "train" or not folders or folders[-1] == "null":
         return Prepared([*prepared, f"command={command}"])
     if multirun:
@@ -69,7 +74,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if "out" in keys:
         raise BadInputError("out: train run=DIR goes on in DIR, so that out= cannot be given as well")
     folder = folders[-1]
-    recorded = _recorded(folder, command)
+    copied = [key for key, name in _COPIES.items() if (Path(folder) / name).is_file()]
+    recorded = [item for item in _recorded(folder, command) if _key(item) not in copied]
     given = {_name(override) for override in prepared}
     merged = [
         *(override for override in recorded if _name(override) not in given),
@@ -105,13 +111,18 @@ def _prepare_evaluation(prepared: list[str], folder: str) -> Prepared:
 
 def _prepare_one(override: str) -> str:
     name, equals, value = override.partition("=")
-    if not override.startswith("~") and (not equals or not name.strip("+ ")):
+    if not _is_override(override):
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
     if name in PATH_KEYS:
         value = _quoted(value)
     return f"{name}{equals}{value}"
+
+
+def _is_override(text: str) -> bool:
+    name, equals, _ = text.partition("=")
+    return text.startswith("~") or bool(equals and name.strip("+ "))
 
 
 def _is_path(value: str) -> bool:
@@ -126,10 +137,15 @@ def _is_path(value: str) -> bool:
 
 
 def _quoted(value: str) -> str:
-    if value.startswith("~/"):
-        value = str(Path(value).expanduser())
+    if value.startswith("~"):
+        try:
+            value = str(Path(value).expanduser())
+        except RuntimeError as error:
+            raise BadInputError(f"a path that begins with ~ must name a home folder, found {value!r}") from error
     # quotes, interpolations and lists for a sweep are the user's own grammar
-    if value[:1] in ("'", '"') or "${" in value or "," in value or _PLAIN_VALUE.fullmatch(value):
+    if value[:1] in ("'", '"') or "${" in value or "," in value:
+        return value
+    if _PLAIN_VALUE.fullmatch(value) and not _NUMBER_OR_BOOLEAN.fullmatch(value):
         return value
     # in Hydra's quotes a backslash is an ordinary character unless it stands before a quote
     escaped = re.sub(r"(\\*)('|$)", lambda m: m[1] * 2 + ("\\'" if m[2] else ""), value)
@@ -170,7 +186,7 @@ def _recorded(folder: str, command: str) -> list[str]:
     # the file may hold anything, and the YAML parser has errors of its own
     except Exception as error:
         raise BadInputError(f"run: {record} cannot be read ({type(error).__name__})") from error
-    if not isinstance(content, list) or not all(isinstance(item, str) for item in content):
+    if not isinstance(content, list) or not all(isinstance(item, str) and _is_override(item) for item in content):
         raise BadInputError(f"run: {record} must be a list of overrides, found {shown(content)}")
     _check_command(content, command, folder)
     return [item for item in content if _key(item) not in _OWN_KEYS]

@@ -42,8 +42,8 @@ def asset_path(name: str) -> Path:
     """
     base = assets_dir()
     path = base / name
-    if not path.exists():
-        folder = path.parent
+    if not path.is_file():
+        folder = path if path.is_dir() else path.parent
         while not folder.is_dir():
             folder = folder.parent
         raise unknown_name("asset", name, [p.relative_to(base).as_posix() for p in folder.iterdir()])

@@ -168,7 +168,8 @@ def _locate(target: object, where: str) -> type[Any]:
         raise BadInputError(f"{key}: must name a class that can be imported, found {target!r} ({reason})") from error
     found = getattr(module, class_name, None)
     if not isinstance(found, type):
-        classes = sorted(n for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__)
+        own = {n: v for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__}
+        classes = sorted(name for name in own if not name.startswith("_"))
         raise BadInputError(f"{key}: {module_name} has no class {class_name!r}; valid: {', '.join(classes) or 'none'}")
     return found
 

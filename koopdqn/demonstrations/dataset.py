@@ -11,6 +11,8 @@ from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 
 _QUATERNION_TOLERANCE = 1e-3
+# No arm here reaches so far [m]; a file in millimetres does.
+_FARTHEST_M = 10.0
 
 
 def _frozen(values: Array) -> Array:
@@ -30,8 +32,8 @@ class Demonstration:
         joints: joint angles (N, 6) [rad], or None where they are not known.
 
     Raises:
-        BadInputError: shapes disagree, a value is not finite, times do not increase, or a quaternion has not
-            unit length.
+        BadInputError: shapes disagree, a value is not finite, times do not increase, a position is more than
+            10 m from the base, or a quaternion has not unit length.
     """
 
     times: Array
@@ -49,6 +51,11 @@ class Demonstration:
             raise BadInputError("poses and times must be finite, found NaN or infinity")
         if np.any(np.diff(self.times) <= 0):
             raise BadInputError(f"times must increase, found {int(np.sum(np.diff(self.times) <= 0))} that do not")
+        farthest = np.abs(poses[:, pose.POSITION]).max()
+        if farthest > _FARTHEST_M:
+            raise BadInputError(
+                f"positions must be in metres and within {_FARTHEST_M:g} m of the base, found {farthest:g}"
+            )
         length = np.linalg.norm(poses[:, pose.QUATERNION], axis=1)
         if np.any(np.abs(length - 1) > _QUATERNION_TOLERANCE):
             worst = length[np.abs(length - 1).argmax()]

@@ -26,9 +26,9 @@ class DemonstrationSettings(Settings):
     """How many demonstrations are generated, and how fast they are shown."""
 
     count: int = Field(ge=1, le=1000)
-    speed_m_s: float = Field(gt=0, le=1.0, description="average speed of the flange [m/s]")
+    speed_m_s: float = Field(ge=0.001, le=1.0, description="average speed of the flange [m/s]")
     pace_variation: float = Field(ge=0, lt=1, description="how much the speed rises and falls, as a share of it")
-    sample_seconds: float = Field(gt=0, le=0.2, description="time between two recorded samples [s]")
+    sample_seconds: float = Field(ge=0.001, le=0.2, description="time between two recorded samples [s]")
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ def generate(
         advance: told the number of demonstrations done.
 
     Raises:
-        WorkFailedError: too many draws in a row could not be carried out.
+        WorkFailedError: the arm cannot follow the demonstrator even without variation, or too many draws in a row
+            could not be carried out.
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
@@ -69,11 +70,14 @@ def generate(
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
         start = task.draw_starts(rng, 1)[0]
-        shape = _new_shape(task, rng, shapes)
-        poses = _follow(task, start, shape)
-        times, poses = _paced(poses, settings, rng)
-        joints, reason = reachability.follow(poses)
+        joints, reason = None, reachability.enter(start).reason
+        if not reason:
+            shape = _new_shape(task, rng, shapes)
+            times, poses = _paced(_follow(task, start, shape), settings, rng)
+            joints, reason = reachability.follow(poses)
         if joints is None:
+            if not redrawn:
+                _check_path(task, reachability, settings)
             redrawn[reason] = redrawn.get(reason, 0) + 1
             if sum(redrawn.values()) > 20 * (len(items) + 5):
                 raise WorkFailedError(
@@ -85,6 +89,21 @@ def generate(
         items.append(Demonstration(times, reachability.flange_poses(joints), joints))
         advance(len(items))
     return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
+
+
+def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
+    """Raise unless the arm can follow the demonstrator without variation; where it cannot, drawing again is no use."""
+    unvaried = _follow(task, task.nominal_start, np.zeros_like(task.nominal_path.points))
+    _, poses = _paced(unvaried, settings, np.random.default_rng(0))
+    motion = reachability.enter(poses[0])
+    for reached in poses[1:]:
+        if motion.joints is not None:
+            motion = reachability.move(reached, motion.joints)
+        if motion.joints is None:
+            raise WorkFailedError(
+                f"task {task.name}: the arm must be able to follow the demonstrator, found at"
+                f" {np.round(reached[pose.POSITION], 3).tolist()} m: {motion.reason}: {motion.detail}"
+            )
 
 
 def wander(task: Task, rng: np.random.Generator) -> Array:

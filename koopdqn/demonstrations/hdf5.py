@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
+from koopdqn.config.messages import shown
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
@@ -13,6 +15,8 @@ from koopdqn.files import atomic_path
 FORMAT_VERSION = 1
 _FRAME = "UR Base, flange (tool0)"
 _QUATERNION_ORDER = "wxyz"
+_UNITS = "m, s, rad"
+_ASSUMED = {"frame": _FRAME, "quaternion_order": _QUATERNION_ORDER, "units": _UNITS}
 
 
 def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
@@ -24,9 +28,7 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
         data.attrs["env_args"] = json.dumps(
             {"env_name": demonstrations.task, "env_type": "koopdqn", "arm": demonstrations.arm}, sort_keys=True
         )
-        data.attrs["frame"] = _FRAME
-        data.attrs["quaternion_order"] = _QUATERNION_ORDER
-        data.attrs["units"] = "m, s, rad"
+        data.attrs.update(_ASSUMED)
         for index, item in enumerate(demonstrations.items):
             group = data.create_group(f"demo_{index}")
             group.attrs["num_samples"] = len(item)
@@ -42,10 +44,12 @@ def read_hdf5(path: Path) -> Demonstrations:
     """Read demonstrations written by :func:`write_hdf5`.
 
     Raises:
-        BadInputError: the file is missing, is no HDF5 file, is truncated, or lacks what the layout asks for.
+        BadInputError: the file is missing, is no HDF5 file, is truncated, lacks what the layout asks for, or
+            says that it uses another frame, quaternion order or unit.
     """
     if not path.is_file():
-        raise BadInputError(f"demonstrations must be a file, found nothing at {path}")
+        found = "something else" if path.exists() else "nothing"
+        raise BadInputError(f"demonstrations must be a file, found {found} at {path}")
     try:
         with h5py.File(path, "r") as file:
             return _read(file)
@@ -62,11 +66,16 @@ def _read(file: h5py.File) -> Demonstrations:
     version = int(data.attrs.get("format_version", -1))
     if version != FORMAT_VERSION:
         raise BadInputError(f"format_version must be {FORMAT_VERSION}, found {version}")
-    order = data.attrs.get("quaternion_order", _QUATERNION_ORDER)
-    if order != _QUATERNION_ORDER:
-        raise BadInputError(f"quaternion_order must be {_QUATERNION_ORDER}, found {order}")
-    about = json.loads(data.attrs["env_args"])
-    names = sorted((name for name in data if name.startswith("demo_")), key=lambda name: int(name[5:]))
+    for key, assumed in _ASSUMED.items():
+        found = data.attrs.get(key, assumed)
+        if found != assumed:
+            raise BadInputError(f"{key} must be {assumed}, found {found}")
+    about = _read_env_args(data.attrs.get("env_args"))
+    names = [name for name in data if name.startswith("demo_")]
+    odd = [name for name in names if not name[5:].isdecimal()]
+    if odd:
+        raise BadInputError(f"demonstrations must be named demo_0, demo_1 and so on, found {odd[0]}")
+    names.sort(key=lambda name: int(name[5:]))
     items = []
     for name in names:
         group = data[name]
@@ -79,5 +88,21 @@ def _read(file: h5py.File) -> Demonstrations:
                 f" found {position.shape} and {quaternion.shape}"
             )
         joints = np.asarray(observations["joint_pos"]) if "joint_pos" in observations else None
-        items.append(Demonstration(np.asarray(group["t"]), np.hstack([position, quaternion]), joints))
+        try:
+            items.append(Demonstration(np.asarray(group["t"]), np.hstack([position, quaternion]), joints))
+        except BadInputError as error:
+            raise BadInputError(f"{name}: {error}") from error
     return Demonstrations(str(about["env_name"]), str(about.get("arm", "unknown")), items)
+
+
+def _read_env_args(text: Any) -> dict[str, Any]:
+    """Return the attribute ``env_args``, by which robomimic says where a file comes from."""
+    try:
+        about = json.loads(text)
+    except (TypeError, ValueError):
+        about = None
+    if not isinstance(about, dict) or "env_name" not in about:
+        raise BadInputError(
+            f"must be HDF5 in robomimic's layout, its env_args a JSON object that holds env_name, found {shown(text)}"
+        )
+    return about

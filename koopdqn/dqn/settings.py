@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from koopdqn.config.settings import Count, Counts, Fraction, Name, NonNegativeInt, Positive, Settings
+from koopdqn.config.settings import Count, Counts, Fraction, Name, NonNegativeInt, Settings
 
 
 class NetworkSettings(Settings):
@@ -12,7 +12,7 @@ class NetworkSettings(Settings):
 
     hidden: Counts = Field(min_length=1, description="units of each hidden layer")
     fourier_features: NonNegativeInt = Field(description="random Fourier features of the position; 0 for plain inputs")
-    length_scale_m: Positive = Field(description="of the Fourier features [m]")
+    length_scale_m: float = Field(ge=1e-4, le=1e3, description="of the Fourier features [m]")
 
 
 class AgentSettings(Settings):
@@ -22,7 +22,7 @@ class AgentSettings(Settings):
     network: NetworkSettings
     gamma: float = Field(ge=0, lt=1, description="discount γ")
     double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
-    learning_rate: Positive
+    learning_rate: float = Field(gt=0, le=1)
     batch: Count = Field(description="transitions in one update")
     replay: Count = Field(description="transitions kept")
     warm_up: Count = Field(description="transitions gathered before the first update")
@@ -42,8 +42,10 @@ class AgentSettings(Settings):
     exploring_in_region: Fraction = Field(
         description="share of those that begin in the start region; the others begin along a demonstration"
     )
-    exploring_spread_m: Positive = Field(description="how far beside it they begin, a standard deviation [m]")
-    exploring_steps: Count = Field(description="steps after which such an episode is cut")
+    exploring_spread_m: float = Field(
+        gt=0, le=0.5, description="how far beside it they begin, a standard deviation [m]"
+    )
+    exploring_steps: int = Field(ge=1, le=1_000_000, description="steps after which such an episode is cut")
 
     def epsilon(self, steps: int) -> float:
         """Return ε after a number of actions: linear from start to end."""

@@ -8,9 +8,11 @@ from koopdqn.config.settings import Count, Settings
 class EvaluationSettings(Settings):
     """On which starts a policy is measured, and what is measured beside it."""
 
-    episodes: Count = Field(description="held-out starts")
+    episodes: int = Field(ge=1, le=100_000, description="held-out starts")
     seed: int = Field(ge=0, description="of the starts; their random stream is never one of training's or its checks'")
     dynamics: bool = Field(description="also execute paths in MuJoCo dynamics through the arm's actuators")
     dynamics_episodes: Count = Field(description="successful paths executed so, the first ones, if there are as many")
-    time_scale: float = Field(ge=1, description="how many times robot.step_seconds one step takes in that execution")
+    time_scale: float = Field(
+        ge=1, le=1000, description="how many times robot.step_seconds one step takes in that execution"
+    )
     baselines: bool = Field(description="also measure what comes without learning, from the same starts")

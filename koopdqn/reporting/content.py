@@ -11,12 +11,10 @@ class Panel:
     Attributes:
         file: the PNG.
         alt: what it shows, for those who cannot see it.
-        wide: whether it takes the page's whole width beside other panels.
     """
 
     file: Path
     alt: str
-    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -29,6 +27,8 @@ class Figure:
         caption: what is seen, with the numbers that matter.
         panels: its pictures.
         sources: the files that it was drawn from.
+        beside: figures that follow each other with the same text here stand side by side where there is room.
+        wide: whether it takes most of the page's width although it is one picture.
     """
 
     number: str
@@ -36,6 +36,8 @@ class Figure:
     caption: str
     panels: tuple[Panel, ...]
     sources: tuple[Path, ...] = ()
+    beside: str = ""
+    wide: bool = False
 
 
 @dataclass(frozen=True)

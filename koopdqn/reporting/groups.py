@@ -30,6 +30,7 @@ class Preset:
         trust: how its trust domain is drawn.
         reward: how its comparison becomes a reward.
         train: when its training stops.
+        demonstrations: how many are generated.
         key: :func:`koopdqn.reporting.runs.configuration_key` of its runs.
     """
 
@@ -40,6 +41,7 @@ class Preset:
     trust: TrustSettings
     reward: RewardSettings
     train: TrainSettings
+    demonstrations: int
     key: str
 
 
@@ -98,7 +100,7 @@ def group_runs(runs: Sequence[Run], presets: Presets) -> tuple[Groups, list[Skip
         for key, others in configurations.items():
             if key != shown:
                 left_out += [Skipped(run.folder, f"another configuration of preset {place[1]}") for run in others]
-        kept = {}
+        kept: dict[int, Run] = {}
         for run in sorted(configurations[shown], key=lambda run: (run.evaluation is not None, run.age)):
             if run.seed in kept:
                 left_out.append(Skipped(kept[run.seed].folder, f"another run of seed {run.seed} is shown"))

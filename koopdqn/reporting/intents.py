@@ -79,7 +79,7 @@ def study(
     """Return an intent's cross-validated report and its errors on one held-out demonstration.
 
     Args:
-        demonstrations: of the task, at least three (one is held out of a set that is itself cross-validated).
+        demonstrations: of the task, at least two.
         task: gives goal, step and tolerances.
         intent: how the model is fitted.
         trust: how the trust domain is drawn.

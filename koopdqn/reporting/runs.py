@@ -107,7 +107,7 @@ def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[
     for folder in folders:
         if not folder.is_dir():
             raise BadInputError(f"report.runs: must name folders that exist, found {str(folder)!r}")
-    evaluations = _evaluations([*folders, *elsewhere])
+    evaluations, unreadable = _evaluations([*folders, *elsewhere])
     runs: dict[Path, Run] = {}
     skipped: dict[Path, Skipped] = {}
     for file in _below(folders, TRAINING):
@@ -118,7 +118,7 @@ def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[
             runs[folder.resolve()] = _with_evaluation(_read(folder), evaluations)
         except BadInputError as error:
             skipped[folder.resolve()] = Skipped(folder, str(error))
-    return list(runs.values()), list(skipped.values())
+    return list(runs.values()), [*skipped.values(), *unreadable]
 
 
 def _below(folders: Sequence[Path], name: str) -> list[Path]:
@@ -134,7 +134,9 @@ def _read(folder: Path) -> Run:
     try:
         train = TrainReport.model_validate(train).model_dump(mode="json")
     except ValidationError as error:
-        raise BadInputError(f"{folder / TRAINING} must be a training report of this release: {_first(error)}") from error
+        raise BadInputError(
+            f"{folder / TRAINING} must be a training report of this release: {_first(error)}"
+        ) from error
     if not (folder / DEMONSTRATIONS).is_file():
         raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
     about = read_artifact(folder / POLICY, "policy").about
@@ -161,16 +163,22 @@ def _without_item_targets(node: Any) -> Any:
     return node
 
 
-def _evaluations(folders: Sequence[Path]) -> list[tuple[Path, Mapping[str, Any]]]:
-    """Return evaluation files with their contents, the newest first; what is no evaluation is passed over."""
+def _evaluations(folders: Sequence[Path]) -> tuple[list[tuple[Path, Mapping[str, Any]]], list[Skipped]]:
+    """Return evaluation files with their contents, the newest first, and what is no evaluation of this release."""
     found: dict[Path, tuple[Path, Mapping[str, Any]]] = {}
+    skipped: dict[Path, Skipped] = {}
     for file in _below(folders, EVALUATION):
         try:
             content = EvaluationFile.model_validate(read_json(file, "the evaluation")).model_dump(mode="json")
-        except (BadInputError, ValidationError):
-            continue
-        found[file.resolve()] = (file, content)
-    return sorted(found.values(), key=lambda item: item[0].stat().st_mtime_ns, reverse=True)
+        except BadInputError as error:
+            skipped[file.resolve()] = Skipped(file.parent, str(error))
+        except ValidationError as error:
+            reason = f"{file} must be an evaluation of this release: {_first(error)}"
+            skipped[file.resolve()] = Skipped(file.parent, reason)
+        else:
+            found[file.resolve()] = (file, content)
+    newest_first = sorted(found.values(), key=lambda item: item[0].stat().st_mtime_ns, reverse=True)
+    return newest_first, list(skipped.values())
 
 
 def _with_evaluation(run: Run, evaluations: Sequence[tuple[Path, Mapping[str, Any]]]) -> Run:

@@ -9,7 +9,7 @@ from dm_control import mjcf
 
 from koopdqn import pose
 from koopdqn.config.resources import asset_path
-from koopdqn.errors import BadInputError
+from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
 
@@ -82,12 +82,30 @@ class SceneBuilder:
         )
 
     def build(self) -> "Scene":
-        """Compile the scene."""
-        site = self._robot.find("site", self.arm.flange_site)
+        """Compile the scene.
+
+        Raises:
+            BadInputError: the arm's MJCF file lacks a site or joint that the arm names, or a joint's actuator.
+            ValueError: MuJoCo refuses the scene.
+        """
+        site = self._named("site", self.arm.flange_site)
+        for name in self.arm.joint_names:
+            self._named("joint", name)
+        driven = [actuator.joint.name for actuator in self._robot.find_all("actuator") if actuator.joint]
+        undriven = sorted(set(self.arm.joint_names) - set(driven))
+        if undriven:
+            raise BadInputError(f"{self.arm.asset} must have an actuator for every joint, found none for {undriven[0]}")
         site.attach(self._tool)
         root = self._arena.root_model
         model = mujoco.MjModel.from_xml_string(root.to_xml_string(), root.get_assets())
         return Scene(model, self.arm, prefix=f"{self._robot.model}/")
+
+    def _named(self, kind: str, name: str) -> Any:
+        found = self._robot.find(kind, name)
+        if found is None:
+            known = [element.name for element in self._robot.find_all(kind)]
+            raise unknown_name(f"{kind} of {self.arm.asset}", name, known)
+        return found
 
 
 def _tool_name(name: str, payload: bool) -> str:
@@ -174,9 +192,11 @@ def build_scene(task: "Task", arm: Arm) -> Scene:
     Raises:
         BadInputError: MuJoCo refuses the scene, or the payload cannot stand clear at start and goal.
     """
-    builder = SceneBuilder(arm)
-    task.furnish(builder)
     try:
+        builder = SceneBuilder(arm)
+        task.furnish(builder)
         return builder.build()
-    except ValueError as error:
-        raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {error}") from error
+    # a file that is no XML is a SyntaxError
+    except (ValueError, SyntaxError) as error:
+        found = " ".join(str(error).split())
+        raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {found}") from error

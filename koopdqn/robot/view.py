@@ -162,8 +162,8 @@ def _score(scene: Scene, joints: Array, path: Array, view: View) -> float:
     payload = [i for i in range(scene.model.ngeom) if "payload_" in scene.model.geom(i).name]
     targets = [(scene.data.geom_xpos[i].copy(), i) for i in payload]
     flat = (path - path.mean(axis=0)) @ view.axes()[:2].T
-    # How long and how wide the path looks, as angles at the eye.
-    length, width = np.linalg.svd(flat / np.sqrt(len(flat)), compute_uv=False) / view.distance
+    # How long and how wide the path looks, as angles at the eye; a single pose has no width.
+    length, width = np.append(np.linalg.svd(flat / np.sqrt(len(flat)), compute_uv=False), 0.0)[:2] / view.distance
     # What stands about the goal should not stand right before the eye.
     nearest = float(((_surroundings(scene, path[-1]) - view.eye) @ view.forward).min(initial=np.inf)) / view.distance
     return float(

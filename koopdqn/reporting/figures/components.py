@@ -1,4 +1,4 @@
-"""Figures 3, 7 and 8: each pose component of the demonstrations, with its mean and the band of k standard deviations."""
+"""Figures 3, 7 and 8: each pose component of the demonstrations, its mean and the band of k standard deviations."""
 
 from pathlib import Path
 from typing import Final, Literal
@@ -6,7 +6,6 @@ from typing import Final, Literal
 import numpy as np
 from matplotlib.axes import Axes
 
-from koopdqn import pose
 from koopdqn.demonstrations.resample import to_count
 from koopdqn.intent.trust import COMPONENTS, components_of
 from koopdqn.plots.style import BLUE, GREY, INK, TRUST, picture
@@ -14,13 +13,18 @@ from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 840, 900
-_SIGMAS: Final = 3.0
 # A component that is held varies by rounding only; an axis that magnifies this would show noise.
 _LEAST_SPAN: Final = {"position": 0.02, "orientation": 4.0}
+_ROUNDING: Final = 1e-9
 
 
 def plot_components(
-    path: Path, trajectories: list[Array], task: Task, part: Literal["position", "orientation"], title: str
+    path: Path,
+    trajectories: list[Array],
+    task: Task,
+    part: Literal["position", "orientation"],
+    sigmas: float,
+    title: str,
 ) -> None:
     """Draw x, y, z or roll, pitch, yaw of demonstrations over their steps.
 
@@ -32,6 +36,7 @@ def plot_components(
         trajectories: demonstrated poses (N, 7) at the agent's step.
         task: gives the frame of the angles.
         part: which components.
+        sigmas: k, half the width of the band in standard deviations.
         title: above everything.
 
     Raises:
@@ -44,19 +49,19 @@ def plot_components(
     with picture(path, title, WIDTH, HEIGHT) as figure:
         stack = figure.subplots(3, 1, sharex=True)
         for row, axes in enumerate(stack):
-            _component(axes, rows[..., first + row], _LEAST_SPAN[part])
+            _component(axes, rows[..., first + row], sigmas, _LEAST_SPAN[part], unit)
             axes.set_ylabel(f"{COMPONENTS[first + row]} [{unit}]")
         stack[-1].set_xlabel("step of the demonstration")
         stack[0].legend(loc="best", ncols=3)
         figure.align_ylabels(stack)
 
 
-def _component(axes: Axes, samples: Array, least_span: float) -> None:
+def _component(axes: Axes, samples: Array, sigmas: float, least_span: float, unit: str) -> None:
     """Draw one component (D, T) of all demonstrations."""
     mean, deviation = samples.mean(axis=0), samples.std(axis=0)
     step = np.arange(samples.shape[1])
-    low, high = mean - _SIGMAS * deviation, mean + _SIGMAS * deviation
-    axes.fill_between(step, low, high, color=TRUST, lw=0, label=f"mean ± {_SIGMAS:g} σ")
+    low, high = mean - sigmas * deviation, mean + sigmas * deviation
+    axes.fill_between(step, low, high, color=TRUST, lw=0, label=f"mean ± {sigmas:g} σ")
     for index, sample in enumerate(samples):
         axes.plot(step, sample, color=GREY, linewidth=0.7, label=None if index else f"{len(samples)} demonstrations")
     axes.plot(step, mean, color=BLUE, linewidth=1.8, label="mean")
@@ -65,19 +70,15 @@ def _component(axes: Axes, samples: Array, least_span: float) -> None:
     if top - bottom < least_span:
         middle = (top + bottom) / 2
         axes.set_ylim(middle - least_span / 2, middle + least_span / 2)
-    start = float(samples[:, 0].max() - samples[:, 0].min())
-    text = f"largest σ {deviation.max():.2g}, span of the starts {start:.2g}"
-    axes.annotate(text, (0.99, 0.04), xycoords="axes fraction", ha="right", color=INK, fontsize=9)
+    gap = "" if unit == "°" else " "
+    largest, start = (value if value > _ROUNDING else 0.0 for value in (deviation.max(), np.ptp(samples[:, 0])))
+    axes.set_title(f"largest σ {largest:.2g}{gap}{unit}, starts differ by up to {start:.2g}{gap}{unit}", fontsize=9, color=INK)
 
 
 def spans(trajectories: list[Array], task: Task) -> dict[str, tuple[float, float]]:
     """Return the least and greatest value of every component over demonstrations (N, 7), in m and degrees."""
     rows = np.concatenate([components_of(trajectory, task.frame) for trajectory in trajectories])
     rows[:, 3:] = np.degrees(rows[:, 3:])
-    low, high = rows.min(axis=0), rows.max(axis=0)
+    # What is held varies by rounding; a minus before a zero would say nothing.
+    low, high = (np.round(ends, 6) + 0.0 for ends in (rows.min(axis=0), rows.max(axis=0)))
     return {name: (float(low[i]), float(high[i])) for i, name in enumerate(COMPONENTS)}
-
-
-def turn_to_goal(trajectory: Array, task: Task) -> Array:
-    """Return the angle (N,) [degrees] left to the goal's orientation along poses (N, 7)."""
-    return np.degrees(pose.rotation_distance(trajectory, task.goal))

@@ -49,9 +49,7 @@ def plot_errors(
         _at_paper_sampling(sixty, studies, column, scale, unit, _PAPER_BOUNDS_MM if bounds else ())
 
 
-def _at_agents_step(
-    axes: Axes, study: IntentStudy, column: int, scale: float, tolerance: float, unit: str
-) -> None:
+def _at_agents_step(axes: Axes, study: IntentStudy, column: int, scale: float, tolerance: float, unit: str) -> None:
     held_out, trust = study.held_out, study.trust
     raw, rescaled = held_out.error[:, column] * scale, held_out.rescaled[:, column] * scale
     _shade(axes, held_out.asked)
@@ -64,7 +62,7 @@ def _at_agents_step(
         if limit != tolerance:
             lines.append((limit, RED, ":", "trust limit"))
     for value, colour, style, meaning in lines:
-        axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning} {value:.3g} {unit}")
+        axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning} {value:.3g}{unit if unit == '°' else f' {unit}'}")
     highest = max(float(raw.max()), float(rescaled.max()) if column == 0 else 0.0, tolerance)
     # A few steps far over the tolerance are cut off rather than flattening the rest.
     axes.set_ylim(0, 1.55 * min(highest, 6 * tolerance))
@@ -86,7 +84,9 @@ def _at_paper_sampling(
         axes.plot(error, color=_COLOURS[name], marker=".", markersize=4, label=NAMES[name])
         highest = max(highest, float(error.max()))
     for bound, meaning in zip(bounds, ("most steps", "its steps 48 to 52"), strict=False):
-        axes.axhline(bound, color=GREY, linestyle=":", linewidth=1.4, label=f"the paper's bound, {meaning}: {bound:g} mm")
+        axes.axhline(
+            bound, color=GREY, linestyle=":", linewidth=1.4, label=f"the paper's bound, {meaning}: {bound:g} mm"
+        )
     axes.set_ylim(0, 1.5 * highest)
     axes.set_xlim(0, SAMPLES - 2)
     axes.set_xlabel(f"step of the demonstration resampled to {SAMPLES} poses")

@@ -1,7 +1,6 @@
 """Figures 2 and 6, left: initial, intermediate and goal poses on the rendered arm, with demonstrated paths."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -16,14 +15,19 @@ from koopdqn.plots.style import DEMONSTRATED, GREY, INK, PLANES, frame_projectio
 from koopdqn.pose import Array
 from koopdqn.robot.camera import Camera, Ghost, Line, Sphere
 from koopdqn.robot.scene import Scene
-from koopdqn.robot.view import View, choose_view
+from koopdqn.robot.view import View, choose_view, fitted_view
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 840, 760
 SIZE: Final = (1000, 800)
 """Width and height of the rendering [pixels]."""
 _SHARES: Final = (1 / 3, 2 / 3)
+_GHOST: Final = 0.45
+"""Opacity of the arm before the goal."""
 _AXIS_M: Final = 0.07
+_TOOL_M: Final = 0.4
+"""About how far a tool with its payload reaches beyond the flange [m]."""
+_CLOSE_ELEVATION: Final = -25.0
 _AXIS_COLOURS: Final = ("#D62728", "#2CA02C", "#1F77B4")
 
 
@@ -49,7 +53,7 @@ def plot_poses(path: Path, scene: Scene, shown: Demonstration, view: View, title
     for stop in stops:
         lines += _frame(shown.poses[stop])
     marks = [Sphere(shown.poses[stop, :3], rgba(INK), 0.008) for stop in stops]
-    ghosts = [Ghost(joints[stop], 0.42 if i == 0 else 0.22) for i, stop in enumerate(stops[:-1])]
+    ghosts = [Ghost(joints[stop], _GHOST) for stop in stops[:-1]]
     with Camera(scene, SIZE) as camera:
         image = camera.picture(joints[-1], view, lines, marks, ghosts)
     with picture(path, title, WIDTH, HEIGHT) as figure:
@@ -74,7 +78,8 @@ def plot_paths(path: Path, items: Sequence[Demonstration], task: Task, shown: in
         BadInputError: the file cannot be written.
     """
     with picture(path, "The same path in the base frame", WIDTH, HEIGHT) as figure:
-        for axes, plane in zip(figure.subplots(2, 1), PLANES, strict=True):
+        stack = figure.subplots(2, 1, height_ratios=(1.8, 1))
+        for axes, plane in zip(stack, PLANES, strict=True):
             for index, item in enumerate(items):
                 if index != shown:
                     label = "other demonstrations" if index == (1 if shown == 0 else 0) else None
@@ -85,7 +90,8 @@ def plot_paths(path: Path, items: Sequence[Demonstration], task: Task, shown: in
             axes.plot(*project(stops, plane), color=INK, marker="o", linestyle="", markersize=5, label="poses drawn")
             frame_projection(axes, plane, task, [item.poses[:, pose.POSITION] for item in items])
             axes.set_title("From above" if plane == "top" else "From the side")
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        handles, labels = stack[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
 
 
 def best_view(scene: Scene, shown: Demonstration) -> View:
@@ -97,9 +103,14 @@ def best_view(scene: Scene, shown: Demonstration) -> View:
     return choose_view(scene, joints_of(shown), SIZE)
 
 
-def second_view(first: View, turn: float) -> View:
-    """Return a view from another side: the first one turned about the vertical through its middle [degrees]."""
-    return replace(first, azimuth=first.azimuth + turn, elevation=min(first.elevation, -25.0))
+def close_view(scene: Scene, shown: Demonstration, azimuth: float) -> View:
+    """Return a near view of the tool in a demonstration's four poses, from a direction [degrees]."""
+    stops = shown.poses[_stops(shown)]
+    along, across = (pose.rotate(stops[:, pose.QUATERNION], np.array(axis)) for axis in ((0, 0, 1.0), (1.0, 0, 0)))
+    origin = stops[:, pose.POSITION]
+    ends = [origin + _TOOL_M * along, origin - 0.3 * _TOOL_M * along, origin + 0.25 * _TOOL_M * across]
+    points = np.concatenate([*ends, origin - 0.25 * _TOOL_M * across])
+    return fitted_view(points, azimuth, _CLOSE_ELEVATION, SIZE, scene.model.vis.global_.fovy)
 
 
 def joints_of(item: Demonstration) -> Array:

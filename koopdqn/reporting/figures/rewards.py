@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from koopdqn.plots.style import BLUE, GREY, INK, SKY, picture
+from koopdqn.plots.style import BLUE, GREY, INK, ORANGE, SKY, picture
 from koopdqn.pose import Array
 from koopdqn.reporting.runs import Run
 
@@ -38,16 +38,12 @@ def _rewards(axes: Axes, runs: Sequence[Run]) -> None:
     curves = []
     for index, run in enumerate(runs):
         rewards = np.array(run.train["reward_per_episode"], dtype=float)
-        axes.plot(
-            np.arange(1, len(rewards) + 1),
-            rewards,
-            linestyle="",
-            marker=".",
-            markersize=2.5,
-            color=GREY,
-            alpha=0.5,
-            label=None if index else "an episode",
-        )
+        episode, exploring = np.arange(1, len(rewards) + 1), np.array(run.train["exploring_episode"], dtype=bool)
+        for chosen, colour, size, label in ((exploring, GREY, 2.5, "exploring"), (~exploring, ORANGE, 5, "whole")):
+            shown = None if index else f"an episode, {label}"
+            axes.plot(
+                episode[chosen], rewards[chosen], linestyle="", marker=".", markersize=size, color=colour, label=shown
+            )
         if len(rewards) >= WINDOW:
             curves.append(running_mean(rewards))
             axes.plot(
@@ -66,9 +62,15 @@ def _rewards(axes: Axes, runs: Sequence[Run]) -> None:
             axes.fill_between(
                 episode, mean - deviation, mean + deviation, color=BLUE, alpha=0.18, lw=0, label="± 1 σ over seeds"
             )
-        axes.plot(episode, mean, color=BLUE, linewidth=2.2, label=f"mean over {len(curves)} seeds")
+        axes.plot(
+            episode,
+            mean,
+            color=BLUE,
+            linewidth=2.2,
+            label=f"mean over {len(curves)} seeds" if len(curves) > 1 else "mean of the one seed",
+        )
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.25 * (high - low))
+    axes.set_ylim(low, high + 0.3 * (high - low))
     axes.set_xlim(left=0)
     axes.set_xlabel("episode, in the order in which they ended")
     axes.set_ylabel("reward gathered in the episode")

@@ -1,0 +1,103 @@
+"""What a task's figures are drawn from: the demonstrations of one run, its scene, and intents fitted to them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from koopdqn.config.settings import load_settings
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.errors import BadInputError
+from koopdqn.files import write_json
+from koopdqn.intent.fitting import agent_steps
+from koopdqn.intent.model import IntentSettings
+from koopdqn.intent.trust import TrustSettings
+from koopdqn.pose import Array
+from koopdqn.reporting.groups import PAPER, Group
+from koopdqn.reporting.intents import IntentStudy, study
+from koopdqn.reporting.runs import Run
+from koopdqn.robot.scene import Scene
+from koopdqn.tasks.task import Task
+from koopdqn.workcell import open_workcell
+
+SHOWN = 0
+"""The demonstration that figures draw, and hold out."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a task's figures are drawn from.
+
+    Attributes:
+        run: whose demonstrations they are.
+        groups: the task's runs, by preset; at least one.
+        demonstrations: of the run.
+        trajectories: their poses (N, 7) at the agent's step.
+        studies: intents fitted to them, with the file that holds each, by name.
+        scene: the arm in the task's scene.
+    """
+
+    run: Run
+    groups: Mapping[str, Group]
+    demonstrations: Demonstrations
+    trajectories: list[Array]
+    studies: Mapping[str, tuple[IntentStudy, Path]]
+    scene: Scene
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return self.run.task
+
+    @property
+    def intents(self) -> dict[str, IntentStudy]:
+        """The fitted intents by name."""
+        return {name: found for name, (found, _) in self.studies.items()}
+
+    @property
+    def sigmas(self) -> float:
+        """Half the width of the run's trust domain in standard deviations."""
+        return float(self.run.about["trust"]["sigmas"])
+
+    @property
+    def fits(self) -> tuple[Path, ...]:
+        """The files of the paper's lift and of the default, which figures show."""
+        return tuple(self.studies[name][1] for name in ("paper", "fourier"))
+
+
+Intents = Mapping[str, tuple[IntentSettings, TrustSettings]]
+"""How intents are fitted and where they are trusted, by name."""
+
+
+def gather(groups: Mapping[str, Group], intents: Intents, folder: Path, advance: Callable[[], None]) -> Material:
+    """Return a task's material; the fits are written to ``fits/`` in a folder.
+
+    The run is the first one of the first group. Its own intent and trust domain take the place of those given, so
+    that figures show what it learned from.
+
+    Args:
+        groups: the task's runs by preset.
+        intents: what is fitted to its demonstrations.
+        folder: of the report.
+        advance: called after every fit.
+
+    Raises:
+        BadInputError: the demonstrations are damaged, or do not allow a fit.
+    """
+    run = next(iter(groups.values())).first
+    demonstrations = read_hdf5(run.demonstrations_file)
+    if len(demonstrations) < 2:
+        raise BadInputError(f"{run.demonstrations_file} must hold at least 2 demonstrations, found 1")
+    own = load_settings(run.about["intent"], IntentSettings, "intent")
+    trust = load_settings(run.about["trust"], TrustSettings, "trust")
+    studies = {}
+    for name, (settings, domain) in intents.items():
+        # Another intent than the paper's is trusted as the run's own, unless the run is the paper's.
+        ours = run.train["intent"] == name or (name != PAPER and run.train["intent"] != PAPER)
+        found = study(demonstrations, run.task, own if own.name == name else settings, trust if ours else domain, SHOWN)
+        file = folder / "fits" / f"{run.task.name}-{name}.json"
+        write_json(file, found.content())
+        studies[name] = (found, file)
+        advance()
+    scene = open_workcell(run.task, run.arm).scene
+    return Material(run, groups, demonstrations, agent_steps(demonstrations, run.task), studies, scene)

@@ -1,0 +1,184 @@
+"""The report's tables of what was measured: runs, evaluations, intents, ablations."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from koopdqn.errors import BadInputError
+from koopdqn.files import read_json
+from koopdqn.reporting.content import Cell, Missing, Table
+from koopdqn.reporting.groups import Groups
+from koopdqn.reporting.intents import INTENTS, IntentStudy
+from koopdqn.reporting.numbers import measured, spread, trained
+
+Studies = Mapping[str, Mapping[str, tuple[IntentStudy, Path]]]
+"""Fitted intents with the files that hold them, by task and name of the intent."""
+
+_BASELINES = ("straight_line", "greedy", "nearest_demonstration")
+_INTENT_NAMES = {
+    "paper": "paper: second-order lift, K = A G†",
+    "fourier": "fourier: the default",
+    "line": "line: least-squares line",
+    "joint": "joint: one K for the whole pose",
+}
+
+
+def runs_table(groups: Groups) -> Table:
+    """Return the runs that the report shows, a row a run."""
+    rows = []
+    for group in groups.values():
+        for run in group.runs:
+            learned = f"yes, after {run.train['learned_at_env_steps']:,} actions" if run.train["learned"] else "no"
+            evaluated = Cell("no")
+            if run.evaluation_file is not None and run.evaluation is not None:
+                evaluated = Cell(f"{run.evaluation['episodes']} starts", (run.evaluation_file,))
+            source = (run.train_file,)
+            rows.append(
+                (
+                    Cell(str(run.folder), source),
+                    Cell(group.task),
+                    Cell(group.preset),
+                    Cell(str(run.seed), source),
+                    Cell(learned, source),
+                    evaluated,
+                )
+            )
+    return Table(
+        "Runs that this page shows",
+        "One run a task, preset and seed; runs that did not learn are shown like any other.",
+        ("folder", "task", "preset", "seed", "learned", "evaluated on"),
+        tuple(rows),
+    )
+
+
+def evaluation_table(groups: Groups) -> Table | Missing:
+    """Return what the policies do from held-out starts, and what comes without learning."""
+    rows = []
+    for group in groups.values():
+        runs = group.measured
+        if not runs:
+            continue
+        rows.append((Cell(f"{group.task}, {group.preset} preset: learned policy"), *_method(runs, ())))
+        for name in _BASELINES:
+            if all((run.evaluation or {})["baselines"] is not None for run in runs):
+                title = f"{group.task}: {name.replace('_', ' ')}, no learning"
+                rows.append((Cell(title), *_method(runs, ("baselines", name))))
+    if not rows:
+        return Missing(
+            "The table of evaluations", "It needs evaluations, and none was found.", "koopdqn report report.make=true"
+        )
+    return Table(
+        "From held-out starts",
+        "Mean over seeds, least and largest seed in parentheses. Deviation: from the demonstrator's own path from the"
+        " same start, points matched by arc length; sideways: from that path's nearest point.",
+        ("method", "success [%]", "deviation, mean [mm]", "its 95th percentile of maxima [mm]", "sideways, mean [mm]"),
+        tuple(rows),
+    )
+
+
+def _method(runs: Sequence[Any], place: tuple[str, ...]) -> tuple[Cell, ...]:
+    return (
+        measured(runs, ".0f", *place, "success_rate", scale=100.0),
+        measured(runs, ".1f", *place, "path_deviation_mm", "mean"),
+        measured(runs, ".0f", *place, "path_deviation_mm", "p95_of_max"),
+        measured(runs, ".1f", *place, "lateral_deviation_mm", "mean"),
+    )
+
+
+def training_table(groups: Groups) -> Table:
+    """Return what training took, a row a task and preset."""
+    rows = []
+    for group in groups.values():
+        runs = group.runs
+        sources = tuple(run.train_file for run in runs)
+        rows.append(
+            (
+                Cell(f"{group.task}, {group.preset} preset"),
+                Cell(f"{sum(run.train['learned'] for run in runs)} of {len(runs)}", sources),
+                trained(runs, ",.0f", "episodes"),
+                trained(runs, ",.0f", "env_steps"),
+                trained(runs, ",.0f", "updates"),
+                trained(runs, ",.0f", "oracle_queries"),
+                trained(runs, ".1f", "reward_agreement", "trusted", scale=100.0),
+                trained(runs, ".0f", "seconds"),
+            )
+        )
+    return Table(
+        "What training took",
+        "Mean over seeds, least and largest seed in parentheses. Agreement: share of the trusted model's rewards that"
+        " the demonstrator agrees with.",
+        ("task", "learned", "episodes", "actions tried", "updates", "questions", "agreement [%]", "time [s]"),
+        tuple(rows),
+    )
+
+
+def intents_table(studies: Studies) -> Table:
+    """Return how well each intent predicts the demonstrations, a row a task and intent."""
+    rows = []
+    for task, by_name in studies.items():
+        for name in (name for name in INTENTS if name in by_name):
+            found, file = by_name[name]
+            sixty, rolled = found.report["sixty_samples"], found.report["roll_out_error_m"]
+            one = found.report["one_step_error_m"]
+            turned = sixty["rms_over_persistence_rotation"]
+            texts = (
+                f"{one['rms'] * 1e3:.2f} / {one['max'] * 1e3:.2f}",
+                f"{sixty['rms_m'] * 1e3:.2f} / {sixty['max_m'] * 1e3:.2f}",
+                f"{sixty['rms_over_persistence']:.3f}",
+                "held" if turned is None else f"{turned:.3f}",
+                f"{rolled['reached_goal']} of {found.report['demonstrations']}",
+                f"{rolled['median_hausdorff'] * 1e3:.0f}" if rolled["median_hausdorff"] < 1.0 else "over 1000",
+            )
+            cells = (Cell(text, (file,)) for text in texts)
+            rows.append((Cell(f"{task}, {_INTENT_NAMES[name]}"), *cells))
+    return Table(
+        "Intents compared",
+        "Every demonstration predicted by a model fitted to the others. Persistence: predicting no motion. Rolled out:"
+        " followed from a demonstration's start; the goal counts as reached within 5 mm.",
+        (
+            "intent",
+            "one step of the agent: RMS / largest [mm]",
+            "at 60 samples: RMS / largest [mm]",
+            "over persistence, position",
+            "over persistence, rotation",
+            "rolled out: goal reached",
+            "median Hausdorff distance [mm]",
+        ),
+        tuple(rows),
+    )
+
+
+def ablations_table(file: Path) -> Table | Missing:
+    """Return the table of ``ablations.json``, a row a task and variant, or what makes it."""
+    if not file.is_file():
+        return Missing("The table of ablations", f"It needs {file}, which does not exist.", "make ablations")
+    found = read_json(file, "the ablations")
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    try:
+        for row in found:
+            groups.setdefault((row["task"], row["variant"]), []).append(row)
+        rows = tuple(_ablation(place, own, file) for place, own in groups.items())
+    except (KeyError, TypeError) as error:
+        raise BadInputError(
+            f"{file} must hold one row a run as `make ablations` writes them, found: {error!r}"
+        ) from error
+    return Table(
+        "Ablations",
+        "One thing left out or put in place of another; mean over seeds, least and largest seed in parentheses.",
+        ("task, variant", "changed", "seeds learned", "episodes", "questions", "success [%]", "deviation [mm]"),
+        rows,
+    )
+
+
+def _ablation(place: tuple[str, str], rows: Sequence[Mapping[str, Any]], file: Path) -> tuple[Cell, ...]:
+    changed = [item for item in rows[0]["overrides"] if not item.startswith("train.max_steps=")]
+    deviations = [row["path_deviation_mm"] for row in rows]
+    texts = (
+        f"{sum(bool(row['learned']) for row in rows)} of {len(rows)}",
+        spread([row["episodes"] for row in rows], ",.0f"),
+        spread([row["oracle_queries"] for row in rows], ",.0f"),
+        spread([row["success_rate"] for row in rows], ".0f", 100.0),
+        spread(deviations, ".1f"),
+    )
+    shown = Cell(" ".join(f"`{item}`" for item in changed)) if changed else Cell("nothing")
+    return Cell(", ".join(place)), shown, *(Cell(text, (file,)) for text in texts)

@@ -1,0 +1,248 @@
+"""What the documentation shows is real: commands, Python, files, links and generated parts."""
+
+import importlib.util
+import re
+import shlex
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from omegaconf import OmegaConf
+
+from koopdqn import cli
+from koopdqn.commands.configuration import Configuration
+from koopdqn.evaluation.schema import EvaluationFile
+from koopdqn.schema import ReportModel
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+# Makes the README's example a matter of seconds; that whole tasks are learned is for test_learning.
+SHORT = (
+    "demo.count=2",
+    "intent.observables.count=40",
+    "intent.stabilisation.copies=1",
+    "agent.warm_up=500",
+    "train.check_every=20",
+    "train.max_steps=3000",
+    "eval.episodes=3",
+    "eval.dynamics_episodes=1",
+)
+
+
+def blocks(language: str) -> list[str]:
+    """Return the README's code blocks of a language."""
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+def named_files() -> dict[str, str]:
+    """Return the README's example files: blocks that begin with their own name as a comment."""
+    found = {}
+    for block in [*blocks("python"), *blocks("yaml")]:
+        if match := re.match(r"# (\S+\.(?:py|yaml))\n", block):
+            found[match[1]] = block
+    return found
+
+
+def shown_commands(page: Path) -> list[str]:
+    """Return the command lines in a page's console blocks, comments cut off."""
+    console = re.findall(r"```console\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    lines = [line[2:] for block in console for line in block.splitlines() if line.startswith("$ ")]
+    return [line.partition(" #")[0].strip() for line in lines]
+
+
+def command_lines() -> list[list[str]]:
+    """Return the arguments of every `koopdqn …` that a page shows, in a block or within a sentence."""
+    found = []
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        inline = re.findall(r"(?<!`)`(koopdqn [a-z][^`\n]*)`", text)
+        for line in [*shown_commands(page), *inline]:
+            words = shlex.split(line)
+            if words[:3] == ["python", "-m", "koopdqn"]:
+                found.append(words[3:])
+            elif words[0] == "koopdqn":
+                found.append(words[1:])
+    return sorted({tuple(line): line for line in found}.values())
+
+
+@pytest.fixture(scope="module")
+def docs() -> ModuleType:
+    """The script that writes the generated parts."""
+    spec = importlib.util.spec_from_file_location("koopdqn_docs", ROOT / "scripts" / "docs.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with the README's example files, and modules found in it as `python -m` finds them."""
+    for name, text in named_files().items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "powers", raising=False)
+    return tmp_path
+
+
+def stand_in_run(folder: Path, *recorded: str) -> None:
+    """Make what is looked for in the folder of a finished training run before its config is composed."""
+    (folder / ".hydra").mkdir(parents=True, exist_ok=True)
+    (folder / ".hydra" / "overrides.yaml").write_text("".join(f"- {item}\n" for item in recorded), encoding="utf-8")
+    for name in ("train.json", "policy.safetensors"):
+        (folder / name).touch()
+
+
+def test_there_are_commands_to_check() -> None:
+    assert {line[0] for line in command_lines()} == {"demo", "fit", "train", "eval", "doctor"}
+    assert len(command_lines()) > 12
+
+
+@pytest.mark.parametrize("line", command_lines(), ids=" ".join)
+def test_a_command_shown_composes_to_a_valid_config(
+    lab: Path, capsys: pytest.CaptureFixture[str], line: list[str]
+) -> None:
+    command, *arguments = line
+    # A sweep's config is that of its first job; placeholders stand for values of their kind.
+    arguments = [argument.partition(",")[0] for argument in arguments if argument not in ("-m", "--json")]
+    places = {"SEED": "0", "TASK": "knife"}
+    arguments = [re.sub("|".join(places), lambda match: places[match[0]], argument) for argument in arguments]
+    if command == "doctor":
+        assert arguments == []
+        return
+    for argument in arguments:
+        if argument.startswith("run="):
+            stand_in_run(lab / argument.removeprefix("run="), "task=knife", "command=train")
+    stand_in_run(lab / "runs" / "shelf" / "newest", "task=shelf", "command=train")
+    shown = [] if "--cfg" in arguments else ["--cfg", "job"]
+    status = cli.main([command, *arguments, *shown])
+    streams = capsys.readouterr()
+    assert (status, streams.err) == (0, "")
+    assert Configuration.load(OmegaConf.create(streams.out)).inputs.command == command
+
+
+def test_the_make_targets_shown_exist() -> None:
+    targets = set(re.findall(r"^([a-z]+):.*## ", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    for page in PAGES:
+        shown = [line for line in shown_commands(page) if line.startswith("make ")]
+        shown += re.findall(r"`(make [a-z]+)`", page.read_text(encoding="utf-8"))
+        assert {words[-1] for words in map(str.split, shown)} <= targets, page.name
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_to_files(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not re.match(r"https?://|#", target):
+            assert (page.parent / target.partition("#")[0]).is_file(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_page_names_a_place_on_somebodys_machine(page: Path) -> None:
+    found = re.findall(r"(?<![\w.])/(?:work|tmp|home|root|usr|opt|mnt|var|Users)/\S*", page.read_text(encoding="utf-8"))
+    assert found == []
+
+
+def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    [example] = [block for block in blocks("python") if "open_workcell" in block]
+    given = 'composed(["task=shelf"])'
+    assert given in example
+    names: dict[str, Any] = {}
+    exec(compile(example.replace(given, f"composed({['task=shelf', *SHORT]})"), "README.md", "exec"), names)
+    printed = capsys.readouterr().out.splitlines()
+    assert len(printed) == len(names["trainer"].history.checks) + 1 > 1
+    success, deviation = map(float, printed[-1].split())
+    assert names["evaluation"].report["success_rate"] == success
+    assert names["evaluation"].report["path_deviation_mm"]["mean"] == deviation
+
+
+def test_the_example_observables_fit(lab: Path, docs: ModuleType) -> None:
+    [line] = [line for line in command_lines() if "--config-dir" in line]
+    assert cli.main([*line, "demo.count=2", f"out={lab / 'fitted'}"]) == 0
+    report = docs._json(lab / "fitted" / "fit.json")
+    assert (report["intent"], report["lifted_dimension"]) == ("powers", 9)
+
+
+def test_the_key_tables_are_what_the_schemas_say(docs: ModuleType) -> None:
+    text = docs.FILES.read_text(encoding="utf-8")
+    assert docs.with_tables(text) == text, "run `make docs`"
+
+
+def keys_of(model: type[ReportModel]) -> set[str]:
+    """Return a schema's keys, walked through the model's fields rather than its JSON schema."""
+    found = set()
+    for name, field in model.model_fields.items():
+        found.add(name)
+        for part in re.findall(r"[\w.]*\.(\w+)", str(field.annotation)):
+            inner = getattr(sys.modules[model.__module__], part, None)
+            if isinstance(inner, type) and issubclass(inner, ReportModel) and not issubclass(model, inner):
+                found |= {f"{name}.{key}" for key in keys_of(inner)}
+    return found
+
+
+def test_a_key_table_has_a_row_for_every_key(docs: ModuleType) -> None:
+    table = docs.key_table(EvaluationFile)
+    rows = set(re.findall(r"^\| `([^`]+)` \|", table, re.MULTILINE))
+    # Those of a method are listed once, at the top level.
+    assert {key for key in keys_of(EvaluationFile) if not re.match(r"baselines\.\w+\.", key)} == rows
+    assert {"path_deviation_mm.frechet", "dynamics.contacts.first", "baselines.greedy"} <= rows
+
+
+def test_units_are_those_of_the_key_or_of_the_object_it_is_in(docs: ModuleType) -> None:
+    units = {
+        cells[1].strip(" `"): cells[4].strip()
+        for cells in (line.split("|") for line in docs.key_table(EvaluationFile).splitlines()[2:])
+    }
+    assert units["path_deviation_mm.mean"] == units["dynamics.sag_mm.max"] == "mm"
+    assert units["rotation_deviation_deg.max"] == "deg"
+    assert units["dynamics.step_seconds"] == "s"
+    assert units["success_rate"] == units["failures"] == units["dynamics.contacts.steps"] == "–"
+
+
+def test_the_measured_parts_are_all_there_and_filled(docs: ModuleType) -> None:
+    parts = dict(re.findall(r"<!-- begin: (\S+) -->\n(.*?)<!-- end: \1 -->", README, re.DOTALL))
+    assert set(parts) == {"demo", "machine", *docs.MEASURED}
+    for task in docs.TASKS:
+        for name in docs.MEASURED:
+            assert f"| {task} |" in parts[name], f"{name}: run `make figures`"
+        assert (ROOT / "docs" / "images" / f"{task}.png").read_bytes().startswith(b"\x89PNG")
+    assert "success" in parts["demo"]
+    assert re.search(r"Measured on \d+ cores; the load average before the first run was \d+\.\d\.", parts["machine"])
+
+
+def test_a_generated_part_is_replaced_and_nothing_else(docs: ModuleType) -> None:
+    text = "before\n<!-- begin: a -->\nold\n<!-- end: a -->\nafter\n"
+    new = docs.replaced(text, "a", "new \\1")
+    assert new == "before\n<!-- begin: a -->\n\nnew \\1\n\n<!-- end: a -->\nafter\n"
+    assert docs.replaced(new, "a", "new \\1") == new
+    with pytest.raises(ValueError, match="part b must stand in the text once, found it 0 times"):
+        docs.replaced(text, "b", "new")
+
+
+def measured(seconds: float, mean: float) -> dict[str, Any]:
+    method = {"success_rate": 1.0, "path_deviation_mm": {"mean": mean}, "lateral_deviation_mm": {"mean": mean / 2}}
+    fit = {"demonstrations": 5, "one_step_error_m": {"rms": 1e-3 * mean}}
+    rolled = {"reached_goal": 4, "median_hausdorff": 2e-3 * mean}
+    train = {"learned": True, "seconds": seconds, "env_steps": 1000, "oracle_queries": 3}
+    return {
+        "train": {**train, "reward_agreement": {"trusted": 0.99}},
+        "eval": {**method, "baselines": {"greedy": method}},
+        "fit": {name: {**fit, "roll_out_error_m": rolled} for name in ("fourier", "paper")},
+    }
+
+
+def test_the_measured_tables_give_means_and_ranges(docs: ModuleType) -> None:
+    runs = {"shelf": [measured(10.0, 20.0), measured(14.0, 30.0)]}
+    learning = docs.learning_table(runs).splitlines()[2]
+    assert learning == "| shelf | 2 of 2 | 12 s (10–14) | 1,000 | 3 | 99.0% |"
+    policy, greedy = docs.results_table(runs).splitlines()[2:]
+    assert policy == "| shelf | policy | 100% | 25.0 mm (20.0–30.0) | 12.5 mm (10.0–15.0) |"
+    assert greedy == policy.replace("policy", "greedy")
+    intent = docs.intent_table(runs).splitlines()[2]
+    assert intent == "| shelf | `intent=fourier` | 25.00 mm (20.00–30.00) | 8 of 10 | 50.0 mm (40.0–60.0) |"
