@@ -59,10 +59,11 @@ def write_artifact(path: Path, artifact: Artifact) -> None:
             with temporary.open("wb") as file:
                 np.savez(file, allow_pickle=False, **{_KEY: np.array(text)}, **arrays)
         else:
-            from safetensors.numpy import save_file
+            from safetensors.numpy import save
 
-            # One key only: safetensors writes several in random order.
-            save_file(arrays, temporary, metadata={_KEY: text})
+            # One key only: safetensors writes several in random order. Written here, since a full disk is an
+            # OSError of Python's but an error of its own of safetensors'.
+            temporary.write_bytes(save(arrays, metadata={_KEY: text}))
 
 
 def read_artifact(path: Path, kind: str) -> Artifact:

@@ -13,25 +13,20 @@ from pathlib import Path
 
 import numpy as np
 import torch
-import yaml
-from dm_control import mjcf
-from dm_control.utils.inverse_kinematics import qpos_from_site_pose
+from hydra import compose, initialize_config_dir
 from rich.console import Console
 from rich.table import Table
 
+from koopdqn.commands.configuration import Configuration
 from koopdqn.config.resources import asset_path, conf_dir
-from koopdqn.config.settings import load_settings, validate
-from koopdqn.demonstrations.generator import DemonstrationSettings, generate
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.generator import generate
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.replay import ReplayBuffer, Transitions
-from koopdqn.dqn.settings import AgentSettings
-from koopdqn.environment.reward import IntentReward, RewardSettings
-from koopdqn.intent.fitting import agent_steps, fit
-from koopdqn.intent.model import IntentSettings
-from koopdqn.intent.trust import TrustSettings
-from koopdqn.robot.ur import URArm
-from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.environment.reward import IntentReward
+from koopdqn.intent.fitting import Fitted, agent_steps, fit
+from koopdqn.robot.arm import Arm
 from koopdqn.workcell import open_workcell
 
 REPEATS = 7
@@ -57,14 +52,18 @@ def median_seconds(work: Callable[[], object], repeats: int = REPEATS) -> float:
     return statistics.median(times)
 
 
-def group(name: str) -> dict[str, object]:
-    """Return a config group's option, as its YAML file has it."""
-    content: dict[str, object] = yaml.safe_load((conf_dir() / f"{name}.yaml").read_text(encoding="utf-8"))
-    return content
+def configuration() -> Configuration:
+    """Return the default config, as the commands read it."""
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        return Configuration.load(compose("config", overrides=["command=train", "out=unused"]))
 
 
-def kinematics_rows(arm: URArm, poses: np.ndarray, joints: np.ndarray) -> list[Row]:
+def kinematics_rows(arm: Arm, poses: np.ndarray, joints: np.ndarray) -> list[Row]:
     """Return the inverse kinematics' time beside dm_control's, on the same poses and seeds, in this process."""
+    # After koopdqn has chosen the rendering backend.
+    from dm_control import mjcf
+    from dm_control.utils.inverse_kinematics import qpos_from_site_pose
+
     seeds = np.vstack([joints[:1], joints[:-1]])
 
     def ours() -> None:
@@ -85,19 +84,21 @@ def kinematics_rows(arm: URArm, poses: np.ndarray, joints: np.ndarray) -> list[R
     ]
 
 
-def learning_rows(task: ShelfTask, arm: URArm) -> list[Row]:
+def learning_rows(config: Configuration) -> list[Row]:
     """Return the times of the stages of learning."""
-    workcell = open_workcell(task, arm)
-    settings = DemonstrationSettings(count=5, speed_m_s=0.1, pace_variation=0.3, sample_seconds=0.02)
-    make = lambda: generate(task, workcell.reachability, settings, 0)  # noqa: E731 (one expression, used twice)
-    demonstrations = make().demonstrations
-    intent = load_settings(group("intent/fourier"), IntentSettings, "intent")
-    trust = load_settings(group("trust/tube"), TrustSettings, "trust")
-    agent = load_settings(group("agent/fast"), AgentSettings, "agent")
-    root = group("config")
-    reward_settings = validate(root["reward"], RewardSettings, "reward")  # type: ignore[arg-type]  # a YAML mapping
-    fitted = fit(demonstrations, task, intent, trust)
-    reward = IntentReward(task, fitted.model, fitted.trust, reward_settings)
+    task, agent = config.task, config.agent
+    workcell = open_workcell(task, config.robot)
+
+    def make() -> Demonstrations:
+        return generate(task, workcell.reachability, config.demo, 0).demonstrations
+
+    demonstrations = make()
+
+    def fitting() -> Fitted:
+        return fit(demonstrations, task, config.intent, config.trust)
+
+    fitted = fitting()
+    reward = IntentReward(task, fitted.model, fitted.trust, config.reward)
     trajectories = agent_steps(demonstrations, task)
     states = np.concatenate(trajectories)
     batch = states[np.random.default_rng(0).integers(len(states), size=agent.episodes_at_once)]
@@ -121,7 +122,7 @@ def learning_rows(task: ShelfTask, arm: URArm) -> list[Row]:
         Row("five demonstrations", f"{median_seconds(make, 3):.2f} s", "on the arm, checked for collisions"),
         Row(
             "fitting, cross-validated",
-            f"{median_seconds(lambda: fit(demonstrations, task, intent, trust), 3):.2f} s",
+            f"{median_seconds(fitting, 3):.2f} s",
             "",
         ),
         Row(
@@ -151,15 +152,15 @@ def startup_row() -> Row:
 
 def main() -> None:
     """Measure and print."""
-    arm = load_settings(group("robot/ur5"), URArm, "robot")
-    task = load_settings(group("task/shelf"), ShelfTask, "task")
+    config = configuration()
+    task, arm = config.task, config.robot
     start = task.nominal_start
     poses = task.demonstrator.roll_out(start, 1000)
     joints = [np.array(arm.solutions(start)[0])]
     for pose in poses[1:]:
         joints.append(np.array(arm.inverse(pose, joints[-1]).joints))
     table = Table("what", "median", "note", title="koopdqn on this machine")
-    for row in [startup_row(), *kinematics_rows(arm, poses, np.array(joints)), *learning_rows(task, arm)]:
+    for row in [startup_row(), *kinematics_rows(arm, poses, np.array(joints)), *learning_rows(config)]:
         table.add_row(row.what, row.median, row.note)
     Console().print(table)
 

@@ -211,7 +211,7 @@ def results_table(runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
                 (
                     task,
                     method.replace("_", " "),
-                    _spread([report["success_rate"] for report in found], "{:.0%}"),
+                    _spread([report["success_rate"] for report in found], "{:.1%}"),
                     _spread([report["path_deviation_mm"]["mean"] for report in found], "{:.1f} mm"),
                     _spread([report["lateral_deviation_mm"]["mean"] for report in found], "{:.1f} mm"),
                 )
@@ -243,7 +243,7 @@ def _spread(values: Sequence[float], form: str) -> str:
     if not values:
         return "–"
     low, mean, high = (form.format(value) for value in (min(values), statistics.fmean(values), max(values)))
-    return mean if low == high else f"{mean} ({low.split()[0]}–{high.split()[0]})"
+    return mean if low == high else f"{mean} ({low.split()[0].rstrip('%')}–{high.split()[0].rstrip('%')})"
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
+from absl import logging as absl_logging
 from hypothesis import settings
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 # MuJoCo reads this once, at its first import; unset it means GLFW, which needs a display.
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
     os.environ.setdefault("MUJOCO_GL", "egl")
+
+# Hydra closes every log handler when it sets up its own; absl's (of dm_control) would close pytest's captured stream.
+absl_logging.get_absl_handler().python_handler.setStream(sys.__stderr__)
 
 settings.register_profile("koopdqn", derandomize=True, deadline=None)
 settings.load_profile("koopdqn")

@@ -108,7 +108,7 @@ def test_help_and_version_end_well(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in ([], ["--help"], ["-h"]):
         assert cli.main(arguments) == 0
         assert "doctor" in capsys.readouterr().out
-    for name in ("demo", "fit", "train", "eval"):
+    for name in ("demo", "fit", "train", "eval", "report"):
         assert cli.main([name, "--help"]) == 0
         assert "--multirun" in capsys.readouterr().out
     assert cli.main(["--version"]) == 0
@@ -154,7 +154,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
 
 
 def test_an_unknown_command_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    assert refused(capsys, "trian").endswith("valid: demo, doctor, eval, fit, train")
+    assert refused(capsys, "trian").endswith("valid: demo, doctor, eval, fit, report, train")
 
 
 def test_a_config_file_that_is_no_yaml_is_told(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:

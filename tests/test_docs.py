@@ -100,7 +100,7 @@ def stand_in_run(folder: Path, *recorded: str) -> None:
 
 
 def test_there_are_commands_to_check() -> None:
-    assert {line[0] for line in command_lines()} == {"demo", "fit", "train", "eval", "doctor"}
+    assert {"demo", "fit", "train", "eval", "doctor"} <= {line[0] for line in command_lines()}
     assert len(command_lines()) > 12
 
 
@@ -242,7 +242,7 @@ def test_the_measured_tables_give_means_and_ranges(docs: ModuleType) -> None:
     learning = docs.learning_table(runs).splitlines()[2]
     assert learning == "| shelf | 2 of 2 | 12 s (10–14) | 1,000 | 3 | 99.0% |"
     policy, greedy = docs.results_table(runs).splitlines()[2:]
-    assert policy == "| shelf | policy | 100% | 25.0 mm (20.0–30.0) | 12.5 mm (10.0–15.0) |"
+    assert policy == "| shelf | policy | 100.0% | 25.0 mm (20.0–30.0) | 12.5 mm (10.0–15.0) |"
     assert greedy == policy.replace("policy", "greedy")
     intent = docs.intent_table(runs).splitlines()[2]
     assert intent == "| shelf | `intent=fourier` | 25.00 mm (20.00–30.00) | 8 of 10 | 50.0 mm (40.0–60.0) |"

@@ -33,10 +33,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     import warnings
     from importlib import import_module
 
-    from koopdqn.robot.rendering_backend import prepare_rendering
-
-    # MuJoCo chooses its backend at its first import, and dm_control and OpenGL announce the choice at length.
-    prepare_rendering()
+    # They announce the rendering backend at length.
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.commands.configuration import Configuration

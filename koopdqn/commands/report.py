@@ -33,7 +33,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         WorkFailedError: a command that makes a missing run failed.
     """
     settings = config.report
-    presets = _presets()
+    presets = all_presets()
     made: list[Path] = []
     if settings.make:
         made = _make_missing(settings, _found(settings, presets, made)[0])
@@ -57,8 +57,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     return CommandResult(content, lines)
 
 
-def _presets() -> Presets:
-    """Return both presets for both tasks."""
+def all_presets() -> Presets:
+    """Return both presets of the config tree for both tasks."""
     found = {}
     for task in TASKS:
         for name in PRESETS:

@@ -49,7 +49,10 @@ def _from_hydra(error: BaseException) -> BadInputError | None:
     from omegaconf.errors import OmegaConfBaseException
 
     if isinstance(error, OverrideParseException):
-        return BadInputError(f"the override {shown(error.override)} cannot be read: {_in_one_line(error.message)}")
+        reason = _in_one_line(error.message)
+        if reason.startswith("LexerNoViableAlt"):
+            reason = "a character in it must stand in quotes, as in key='value'"
+        return BadInputError(f"the override {shown(error.override)} cannot be read: {reason}")
     if isinstance(error, MissingConfigException):
         return _missing_config(error)
     cause = error.__cause__

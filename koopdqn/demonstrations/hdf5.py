@@ -1,6 +1,7 @@
 """Demonstration files: HDF5 in robomimic's layout."""
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,9 @@ _ASSUMED = {"frame": _FRAME, "quaternion_order": _QUATERNION_ORDER, "units": _UN
 
 def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
     """Write demonstrations to ``data/demo_i`` as robomimic lays them out; the file appears whole or not at all."""
-    with atomic_path(path) as temporary, h5py.File(temporary, "w") as file:
+    # Composed in memory: on a full disk the HDF5 library takes the whole process down with it.
+    image = BytesIO()
+    with h5py.File(image, "w") as file:
         data = file.create_group("data")
         data.attrs["format_version"] = FORMAT_VERSION
         data.attrs["total"] = sum(len(item) for item in demonstrations.items)
@@ -38,6 +41,8 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
             observations.create_dataset("eef_quat", data=item.poses[:, 3:])
             if item.joints is not None:
                 observations.create_dataset("joint_pos", data=item.joints)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(image.getvalue())
 
 
 def read_hdf5(path: Path) -> Demonstrations:

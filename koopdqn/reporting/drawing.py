@@ -68,7 +68,7 @@ def shelf_components(material: Material, folder: Path) -> Figure:
     )
     caption = (
         f"All {len(material.trajectories)} demonstrations, aligned by the share of their path and resampled to the"
-        " agent's step: mean, samples, and the band of {material.sigmas:g} standard deviations; the trust domain adds"
+        f" agent's step: mean, samples, and the band of {material.sigmas:g} standard deviations; the trust domain adds"
         " floors to them."
         " Roll, pitch and yaw are relative to the goal's orientation and stay at zero."
     )

@@ -6,10 +6,13 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from koopdqn.errors import BadInputError
+from koopdqn.errors import BadInputError, unknown_name
 
 VARIABLE: Final = "MUJOCO_GL"
 DISABLED: Final = "disable"
+_BACKENDS: Final = ("egl", "glfw", "osmesa", DISABLED)
+# Other spellings that MuJoCo and dm_control both take.
+_SYNONYMS: Final = ("disabled", "off", "false", "0", "enable", "enabled", "on", "true", "1")
 
 # Of each inner tuple one library must load; without them `import mujoco` fails, not only drawing.
 _LIBRARIES: Final = {
@@ -28,13 +31,17 @@ def prepare_rendering(loads: Callable[[str], bool] | None = None) -> None:
         loads: whether a shared library of that name can be loaded; None tries it.
 
     Raises:
-        BadInputError: MUJOCO_GL is set to a backend whose libraries cannot be loaded.
+        BadInputError: MUJOCO_GL names no backend, or one whose libraries cannot be loaded.
     """
     if sys.platform != "linux":
         return
     loads = loads or _loads
     asked = os.environ.get(VARIABLE, "").strip().lower()
     if asked:
+        if asked not in _BACKENDS + _SYNONYMS:
+            raise unknown_name(f"rendering backend {VARIABLE}", asked, _BACKENDS)
+        # dm_control takes lower case only
+        os.environ[VARIABLE] = asked
         missing = _missing(asked, loads)
         if missing:
             raise BadInputError(

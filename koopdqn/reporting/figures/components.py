@@ -72,7 +72,9 @@ def _component(axes: Axes, samples: Array, sigmas: float, least_span: float, uni
         axes.set_ylim(middle - least_span / 2, middle + least_span / 2)
     gap = "" if unit == "°" else " "
     largest, start = (value if value > _ROUNDING else 0.0 for value in (deviation.max(), np.ptp(samples[:, 0])))
-    axes.set_title(f"largest σ {largest:.2g}{gap}{unit}, starts differ by up to {start:.2g}{gap}{unit}", fontsize=9, color=INK)
+    axes.set_title(
+        f"largest σ {largest:.2g}{gap}{unit}, starts differ by up to {start:.2g}{gap}{unit}", fontsize=9, color=INK
+    )
 
 
 def spans(trajectories: list[Array], task: Task) -> dict[str, tuple[float, float]]:

@@ -62,7 +62,13 @@ def _at_agents_step(axes: Axes, study: IntentStudy, column: int, scale: float, t
         if limit != tolerance:
             lines.append((limit, RED, ":", "trust limit"))
     for value, colour, style, meaning in lines:
-        axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning} {value:.3g}{unit if unit == '°' else f' {unit}'}")
+        axes.axhline(
+            value,
+            color=colour,
+            linestyle=style,
+            linewidth=1.2,
+            label=f"{meaning} {value:.3g}{unit if unit == '°' else f' {unit}'}",
+        )
     highest = max(float(raw.max()), float(rescaled.max()) if column == 0 else 0.0, tolerance)
     # A few steps far over the tolerance are cut off rather than flattening the rest.
     axes.set_ylim(0, 1.55 * min(highest, 6 * tolerance))

@@ -1,0 +1,127 @@
+"""Fabricated finished runs for tests of the report: real demonstrations, a policy of zeros, made-up histories."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hydra import compose, initialize_config_dir
+from parts import Parts, load_parts
+
+from koopdqn.artifact import Artifact, described, write_artifact
+from koopdqn.config.resources import conf_dir
+from koopdqn.config.settings import load_settings
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.evaluation.wilson import wilson_interval
+from koopdqn.files import write_json
+from koopdqn.tasks.knife import KnifeTask
+from koopdqn.tasks.task import Task
+
+SHA = "0" * 64
+CAUSES = ("unreachable", "velocity_limit", "collision", "rule_broken", "stuck", "step_limit")
+
+
+def about(parts: Parts, seed: int) -> dict[str, Any]:
+    """Return a policy's metadata, as training writes it."""
+    names = {"task": parts.task, "intent": parts.intent, "trust": parts.trust, "agent": parts.agent}
+    names |= {"robot": parts.arm, "reward": parts.reward, "train": parts.train}
+    described_parts = {name: described(settings) for name, settings in names.items()}
+    # What decides when a training stops shapes no byte of what it does until then.
+    for key in ("stop", "extend", "max_steps", "max_episodes"):
+        del described_parts["train"][key]
+    return {"seed": seed, "made_from": {"demonstrations": SHA, "intent": SHA}, "network": {}, **described_parts}
+
+
+def knife_parts() -> Parts:
+    """Return the default config's parts with the knife task, which the others' type does not know."""
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        config = compose("config", overrides=["task=knife"])
+    return replace(load_parts(), task=load_settings(config.task, KnifeTask, "task"))  # type: ignore[arg-type]  # a shelf
+
+
+def train_report(parts: Parts, seed: int, episodes: int = 60) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    checks = [{"updates": 250 * i, "env_steps": 9000 * i, "episodes": 20 * i} for i in range(1, 4)]
+    return {
+        "task": parts.task.name,
+        "seed": seed,
+        "agent": parts.agent.name,
+        "intent": parts.intent.name,
+        "learned": seed != 1,
+        "learned_at_env_steps": 27000 if seed != 1 else None,
+        "seconds": 10.0 + seed,
+        "episodes": episodes,
+        "env_steps": 27000,
+        "updates": 750,
+        "oracle_queries": 12 + seed,
+        "trusted_fraction": 0.75,
+        "reward_agreement": {"trusted": 0.99, "remembered": None, "asked": None},
+        "rewards_given": {"trusted": 9, "asked": 3},
+        "reward_per_episode": rng.normal(15, 4, episodes).tolist(),
+        "steps_per_episode": [40] * episodes,
+        "exploring_episode": (rng.random(episodes) < 0.8).tolist(),
+        "best_success_rate": 1.0,
+        "best_update": 750,
+        "step_limit": 700,
+        "checks": [{**check, "success_rate": 1.0, "failures": {}} for check in checks],
+        "threads": 1,
+        "made_from": {"demonstrations": SHA, "intent": SHA},
+    }
+
+
+def method(mean: float) -> dict[str, Any]:
+    summary = {"mean": mean, "max": 2 * mean}
+    return {
+        "success_rate": 0.9,
+        "success_interval_95": list(wilson_interval(9, 10)),
+        "measured_episodes": 10,
+        "path_deviation_mm": {"mean": mean, "max": 3 * mean, "p95_of_max": 2 * mean, "frechet": mean},
+        "lateral_deviation_mm": {"mean": mean, "max": 3 * mean, "p95_of_max": 2 * mean},
+        "rotation_deviation_deg": summary,
+        "tube_fraction": 1.0,
+        "final_position_error_mm": summary,
+        "final_rotation_error_deg": summary,
+        "path_length_ratio": 1.1,
+        "steps": summary,
+        "failures": {cause: int(cause == "collision") for cause in CAUSES},
+        "turn": None,
+        "blade_angle_final_deg": None,
+        "fraction_until_safe": None,
+        "min_blade_distance_m": None,
+        "blade_speed_m_s": None,
+    }
+
+
+def eval_report(task: Task, run: str) -> dict[str, Any]:
+    baselines = {name: method(20.0) for name in ("straight_line", "greedy", "nearest_demonstration")}
+    rest = {"episodes": 10, "seed": 2000, "redrawn_starts": 0, "step_limit": 700, "dynamics": None}
+    return {**method(5.0), **rest, "task": task.name, "baselines": baselines, "run": run}
+
+
+def write_run(folder: Path, parts: Parts, demonstrations: Demonstrations, seed: int = 0, age: int = 0) -> Path:
+    """Write a finished training run; a larger age makes it older."""
+    write_json(folder / "train.json", train_report(parts, seed))
+    write_hdf5(folder / "demos.hdf5", demonstrations)
+    arrays = {"layer.weight": np.zeros((2, 2), dtype=np.float32)}
+    write_artifact(folder / "policy.safetensors", Artifact("policy", arrays, about(parts, seed)))
+    _date(folder / "train.json", age)
+    return folder
+
+
+def write_evaluation(folder: Path, parts: Parts, run: str, age: int = 0) -> Path:
+    write_json(folder / "eval.json", eval_report(parts.task, run))
+    _date(folder / "eval.json", age)
+    return folder / "eval.json"
+
+
+def _date(file: Path, age: int) -> None:
+    os.utime(file, (1_700_000_000 - age, 1_700_000_000 - age))
+
+
+def first(demonstrations: Demonstrations, count: int) -> Demonstrations:
+    """Return the first few demonstrations of a set."""
+    items: Sequence[Any] = demonstrations.items[:count]
+    return Demonstrations(demonstrations.task, demonstrations.arm, items)

@@ -1,0 +1,63 @@
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from parts import load_parts
+from report_runs import first
+
+from koopdqn.reporting.intents import SAMPLES, study
+from koopdqn.reporting.numbers import spread
+
+if TYPE_CHECKING:
+    from parts import Parts
+
+    from koopdqn.demonstrations.dataset import Demonstrations
+    from koopdqn.pose import Array
+
+
+def test_errors_of_the_held_out_demonstrations_are_those_of_the_cross_validation(
+    demonstrations: "Demonstrations", paper: "Parts"
+) -> None:
+    three = first(demonstrations, 3)
+    found = [study(three, paper.task, paper.intent, paper.trust, shown) for shown in range(3)]
+    errors = np.concatenate([item.held_out.error[:, 0] for item in found])
+    sixty = np.concatenate([item.held_out.sixty[:, 0] for item in found])
+    report = found[0].report
+    assert errors.max() == pytest.approx(report["one_step_error_m"]["max"], rel=1e-9)
+    assert np.sqrt((errors**2).mean()) == pytest.approx(report["one_step_error_m"]["rms"], rel=1e-9)
+    assert sixty.max() == pytest.approx(report["sixty_samples"]["max_m"], rel=1e-9)
+    assert [len(item.held_out.sixty) for item in found] == [SAMPLES - 1] * 3
+
+
+def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
+    demonstrations: "Demonstrations", trajectories: "list[Array]", parts: "Parts"
+) -> None:
+    intent = load_parts("intent=paper").intent
+
+    def asked(**changes: object) -> np.ndarray:
+        trust = parts.trust.model_copy(update=changes)
+        return study(first(demonstrations, 3), parts.task, intent, trust).held_out.asked
+
+    assert not asked(sigmas=1e3, error_limit_m=1.0).any()
+    assert asked(error_limit_m=1e-9).all()
+    narrow, wide = asked(sigmas=0.5), asked(sigmas=1.0)
+    assert len(narrow) == len(trajectories[0]) - 1
+    # What a narrow domain holds a wide one holds as well.
+    assert narrow[wide].all()
+    assert narrow.sum() > wide.sum()
+
+
+def test_a_study_is_json(demonstrations: "Demonstrations", paper: "Parts") -> None:
+    import json
+
+    found = study(demonstrations, paper.task, paper.intent, paper.trust, 1)
+    content = json.loads(json.dumps(found.content(), allow_nan=False))
+    assert content["held_out"]["demonstration"] == 1
+    assert content["held_out"]["one_step_error_m"] == found.held_out.error[:, 0].tolist()
+
+
+def test_spread_is_mean_and_range() -> None:
+    assert spread([1.0, None, 3.0], ".1f", unit="mm") == "2.0 (1.0–3.0) mm"
+    assert spread([0.5, 0.5], ".0f", 100.0, "%") == "50 %"
+    assert spread([0.991, 0.992], ".0f", 100.0) == "99"
+    assert spread([None], ".1f", unit="mm") == "–"
