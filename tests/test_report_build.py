@@ -15,6 +15,7 @@ from koopdqn.files import read_json, write_json
 from koopdqn.reporting import build
 from koopdqn.reporting.content import Missing, Table
 from koopdqn.reporting.groups import DEFAULT, PAPER, group_runs
+from koopdqn.reporting.material import gather
 from koopdqn.reporting.paper import actions_table, comparison_table, hyperparameters_table
 from koopdqn.reporting.runs import find_runs
 from koopdqn.reporting.schema import ReportFile
@@ -258,3 +259,10 @@ def test_only_the_report_takes_make(capsys: pytest.CaptureFixture[str]) -> None:
     assert "make: true" in capsys.readouterr().out
     assert cli.main(["train", "--make"]) == 2
     assert "unknown option --make of koopdqn train" in capsys.readouterr().err
+
+
+def test_a_run_of_another_release_leaves_its_figures_out(tmp_path: Path, groups: "Groups") -> None:
+    [(place, group)] = groups.items()
+    old = replace(group.first, about={**group.first.about, "intent": {"target": "koopdqn.nowhere.Intent"}})
+    with pytest.raises(BadInputError, match=r"run .* must have an intent of this release, found: intent\.target"):
+        gather({place[1]: replace(group, runs=(old,))}, {}, tmp_path, lambda: None)

@@ -165,6 +165,8 @@ def _locate(target: object, where: str) -> type[Any]:
     # a user's own module may raise anything while it is imported
     except Exception as error:
         reason = f"{type(error).__name__}: {_first_line(error)}"
+        if isinstance(error, ModuleNotFoundError):
+            reason += "; the folder it lies in must be on PYTHONPATH"
         raise BadInputError(f"{key}: must name a class that can be imported, found {target!r} ({reason})") from error
     found = getattr(module, class_name, None)
     if not isinstance(found, type):

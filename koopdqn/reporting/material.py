@@ -88,8 +88,11 @@ def gather(groups: Mapping[str, Group], intents: Intents, folder: Path, advance:
     demonstrations = read_hdf5(run.demonstrations_file)
     if len(demonstrations) < 2:
         raise BadInputError(f"{run.demonstrations_file} must hold at least 2 demonstrations, found 1")
-    own = load_settings(run.about["intent"], IntentSettings, "intent")
-    trust = load_settings(run.about["trust"], TrustSettings, "trust")
+    try:
+        own = load_settings(run.about["intent"], IntentSettings, "intent")
+        trust = load_settings(run.about["trust"], TrustSettings, "trust")
+    except BadInputError as error:
+        raise BadInputError(f"run {run.folder} must have an intent of this release, found: {error}") from error
     studies = {}
     for name, (settings, domain) in intents.items():
         # Another intent than the paper's is trusted as the run's own, unless the run is the paper's.
