@@ -124,7 +124,11 @@ def described(settings: Settings) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        plain = [_plain(item) for item in value]
+        for node, item in zip(plain, value, strict=True):
+            if isinstance(item, Settings):
+                del node[TARGET]
+        return plain
     if isinstance(value, Settings):
         return described(value)
     return str(value) if isinstance(value, Path) else value

@@ -35,7 +35,14 @@ VARIANTS: Final = (
         "no-step-back", ("agent.trials=chosen", "agent.step_back=false"), "the same without stepping back", ONE_TRIED
     ),
     Variant("trust-everywhere", ("trust=everywhere",), "no trust domain: the model decides everywhere (D7)"),
-    Variant("trust-nowhere", ("trust=nowhere",), "the person is always asked"),
+    Variant("trust-nowhere", ("trust=nowhere",), "the person is asked everywhere, the likeliest action first (D18)"),
+    # The order of asking hides wrong actions from the network; asking about the chosen action, as the paper does, not.
+    Variant(
+        "always-ask",
+        ("trust=nowhere", "agent.trials=chosen"),
+        "the person is asked about every chosen action (D18)",
+        ONE_TRIED,
+    ),
     Variant("one-sigma", ("trust.sigmas=1.0",), "trust within 1 σ (default: 3 σ; D7)"),
     Variant("two-sigmas", ("trust.sigmas=2.0",), "trust within 2 σ (D7)"),
     Variant("line", ("intent=line",), "a line fit instead of a Koopman model"),

@@ -21,6 +21,7 @@ from typing import Any, Final
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.feedback.schema import AnswerLine
 from koopdqn.intent.schema import FitReport
+from koopdqn.reporting.schema import ReportFile
 from koopdqn.schema import ReportModel
 from koopdqn.training.schema import TrainReport
 
@@ -34,6 +35,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "train.json": TrainReport,
     "feedback.jsonl": AnswerLine,
     "eval.json": EvaluationFile,
+    "report.json": ReportFile,
 }
 """The generated tables of docs/files.md and the schemas they come from."""
 
