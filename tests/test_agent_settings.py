@@ -1,7 +1,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from parts import Parts
+from parts import Parts, load_parts
 
 from koopdqn.artifact import described
 from koopdqn.config.settings import load_settings
@@ -52,3 +52,8 @@ def test_settings_of_the_agent_outside_their_range_are_refused(parts: Parts, fie
 def test_settings_of_training_outside_their_range_are_refused(parts: Parts, field: str, value: object) -> None:
     with pytest.raises(BadInputError, match=f"train.{field}"):
         load_settings(described(parts.train) | {field: value}, TrainSettings, "train")
+
+
+def test_trying_all_actions_without_stepping_back_is_refused() -> None:
+    with pytest.raises(BadInputError, match="trials=all must go with step_back=true"):
+        load_parts("agent.trials=all", "agent.step_back=false")

@@ -13,7 +13,7 @@ from small_run import SMALL
 
 from koopdqn import cli, console
 
-LONGER = ("train.stop=limit", "train.extend=6")
+LONGER = ("train.stop=limit", "train.extend=3")
 RESULTS = ("policy.safetensors", "feedback.jsonl", "demos.hdf5", "intent.npz", "fit.json")
 PICTURES = ("fit.png", "train.png")
 
@@ -90,7 +90,7 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(
 def test_a_finished_run_goes_on_to_itself(uninterrupted: dict[str, str], tmp_path: Path) -> None:
     folder = tmp_path / "run"
     assert cli.main(["train", *SMALL, "train.stop=limit", "train.extend=2", f"out={folder}", "--json"]) == 0
-    assert cli.main(["train", f"run={folder}", "train.extend=6", "--json"]) == 0
+    assert cli.main(["train", f"run={folder}", "train.extend=3", "--json"]) == 0
     assert digests(folder) == uninterrupted
-    assert cli.main(["train", f"run={folder}", "train.extend=6", "--json"]) == 0
+    assert cli.main(["train", f"run={folder}", "train.extend=3", "--json"]) == 0
     assert digests(folder) == uninterrupted

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from koopdqn.artifact import described
@@ -93,8 +92,3 @@ class Configuration:
             "train": train,
             **{name: described(getattr(self, name)) for name in parts},
         }
-
-
-def path_or_none(path: Path | None) -> str | None:
-    """Return a path as text for a result file."""
-    return None if path is None else str(path)

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from koopdqn.config.settings import Count, Counts, Fraction, Name, NonNegativeInt, Settings
 
@@ -46,6 +46,12 @@ class AgentSettings(Settings):
         gt=0, le=0.5, description="how far beside it they begin, a standard deviation [m]"
     )
     exploring_steps: int = Field(ge=1, le=1_000_000, description="steps after which such an episode is cut")
+
+    @model_validator(mode="after")
+    def _check_trials(self) -> "AgentSettings":
+        if self.trials == "all" and not self.step_back:
+            raise ValueError("trials=all must go with step_back=true, as trying all actions is stepping back from each")
+        return self
 
     def epsilon(self, steps: int) -> float:
         """Return ε after a number of actions: linear from start to end."""

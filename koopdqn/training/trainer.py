@@ -168,8 +168,6 @@ class Trainer:
         self._tally(batch.poses[rows], judgement, rows, actions)
         rewards = judgement.reward[rows, actions]
         self._store(observations[rows], actions, rewards, judgement, rows, np.zeros(len(rows), dtype=bool))
-        if self.agent.step_back:
-            batch.tried[rows, actions] |= rewards < 0
 
     def _refuse(self, judgement: Judgement, index: int, action: int) -> None:
         judgement.reward[index, action] = self.reward.value(False, False)
