@@ -165,9 +165,9 @@ def _locate(target: object, where: str) -> type[Any]:
     # a user's own module may raise anything while it is imported
     except Exception as error:
         reason = f"{type(error).__name__}: {_first_line(error)}"
-        if isinstance(error, ModuleNotFoundError):
-            reason += "; the folder it lies in must be on PYTHONPATH"
-        raise BadInputError(f"{key}: must name a class that can be imported, found {target!r} ({reason})") from error
+        hint = "; the folder it lies in must be on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
+        text = f"{key}: must name a class that can be imported, found {target!r} ({reason}){hint}"
+        raise BadInputError(text) from error
     found = getattr(module, class_name, None)
     if not isinstance(found, type):
         own = {n: v for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__}
