@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from types import FrameType
 
 from koopdqn import console
 from koopdqn.errors import KoopdqnError, WorkFailedError
@@ -21,18 +22,32 @@ def guard(work: Callable[[], int], *, debug: bool) -> int:
         work: returns an exit status.
         debug: whether to print the traceback of an error first.
     """
+    received: list[int] = []
     try:
-        with _terminated_as_interrupted():
+        with _interruptible(received):
             return work()
-    except KeyboardInterrupt:
-        console.note("koopdqn: interrupted; everything so far is kept")
-        return INTERRUPTED
+    except (_Interruption, KeyboardInterrupt):
+        return _interrupted()
     except BrokenPipeError:
         # the reader went away (`koopdqn ... | head`); the interpreter flushes stdout once more when it ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return WorkFailedError.exit_status
     except Exception as error:
-        return _report(error, debug=debug)
+        # a module in C that is interrupted while it is imported turns the interruption into an error of its own
+        return _interrupted() if received else _report(error, debug=debug)
+
+
+class _Interruption(BaseException):
+    """Ctrl-C or SIGTERM.
+
+    No KeyboardInterrupt: where one passes through code that an extension module runs, Python kills itself with
+    SIGINT in the end, even though the exception was caught.
+    """
+
+
+def _interrupted() -> int:
+    console.note("koopdqn: interrupted; everything so far is kept")
+    return INTERRUPTED
 
 
 def _report(error: Exception, *, debug: bool) -> int:
@@ -52,13 +67,19 @@ def _report(error: Exception, *, debug: bool) -> int:
 
 
 @contextlib.contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Let SIGTERM end the work as Ctrl-C does. Only the main thread may set handlers."""
+def _interruptible(received: list[int]) -> Iterator[None]:
+    """Let SIGINT and SIGTERM end the work, and note them. Only the main thread may set handlers."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        raise _Interruption
+
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

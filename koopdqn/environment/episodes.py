@@ -6,8 +6,11 @@ import numpy as np
 
 from koopdqn.environment.actions import COUNT
 from koopdqn.environment.reachability import Motion, Reachability
+from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
+
+_MOST_DRAWS = 1000
 
 
 @dataclass
@@ -122,7 +125,7 @@ class StartSampler:
         batch.fresh[index] = True
 
     def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Motion]:
-        while True:
+        for _ in range(_MOST_DRAWS):
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]
             index = rng.integers(len(trajectory))
             pose = trajectory[index].copy()
@@ -135,3 +138,7 @@ class StartSampler:
             if motion.joints is not None and not self.task.reached(pose[None])[0]:
                 return pose, motion
             self.refused += 1
+        raise WorkFailedError(
+            f"task {self.task.name}: the arm must be able to begin along the demonstrations,"
+            f" found {_MOST_DRAWS} draws in a row refused"
+        )

@@ -39,8 +39,8 @@ class RewardSettings(Settings):
         lt=1,
         description="share of the tolerance by which a comparison must be clear to be trusted; 0 trusts all",
     )
-    size: float = Field(gt=0, description="largest absolute reward of a step")
-    goal: float = Field(ge=0, description="added when a right action reaches the goal")
+    size: float = Field(gt=0, le=1e3, description="largest absolute reward of a step")
+    goal: float = Field(ge=0, le=1e3, description="added when a right action reaches the goal")
 
 
 @dataclass(frozen=True)

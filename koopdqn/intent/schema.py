@@ -68,7 +68,9 @@ class TrustCoverage(ReportModel):
     """How much of a demonstration left out lies in the trust domain drawn from the others."""
 
     sigmas: Positive = Field(description="k: half the domain's width in standard deviations")
-    matching: Literal["step", "any"] = Field(description="how states are matched with the demonstrations' steps")
+    matching: Literal["step", "any", "everywhere", "nowhere"] = Field(
+        description="how states are matched with the demonstrations' steps"
+    )
     held_out_state_coverage: Fraction = Field(description="share of the states inside, mean over the demonstrations")
     held_out_path_coverage: Fraction = Field(description="share of the demonstrations inside from end to end")
     per_demonstration: list[Fraction] = Field(description="(D,) share of the states inside")

@@ -12,7 +12,9 @@ class Stabilisation(Settings):
 
     copies: int = Field(ge=0, le=100, description="made-up pairs for each demonstrated one; 0 for none")
     pull_back_m: float = Field(gt=0, description="distance over which a made-up pair leads back [m]")
-    spread: float = Field(gt=0, description="standard deviation of a made-up state's sideways offset, in pull_back_m")
+    spread: float = Field(
+        gt=0, le=10, description="standard deviation of a made-up state's sideways offset, in pull_back_m"
+    )
     seed: int = Field(ge=0)
 
 

@@ -23,6 +23,7 @@ Waypoints = Annotated[tuple[Vector3, ...], Strict(False), Field(min_length=2)]
 MAX_STEP_PER_TOLERANCE = 1.087
 # A turn of up to this many rotation tolerances in one step can be matched by an action.
 TURNS_PER_STEP = 5.0
+_LEAST_CHORD_M = 1e-3
 # The paper's lift has no constant; a yaw that stays at this value [rad] is one.
 _CONSTANT_YAW = 1.0
 
@@ -49,13 +50,13 @@ class Task(Settings, ABC):
     start_tilt_rad: float = Field(
         ge=0, le=0.5, description="largest turn of a start, about the axis of the turn to the goal [rad]"
     )
-    step_m: float = Field(gt=0, description="distance of one action [m]")
+    step_m: float = Field(ge=1e-4, le=0.05, description="distance of one action [m]")
     position_tolerance_m: float = Field(gt=0, description="to compare poses [m]")
-    rotation_tolerance_rad: float = Field(gt=0, description="to compare poses [rad]")
+    rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: float = Field(gt=0, description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: float = Field(gt=0)
-    pull_back_m: float = Field(gt=0, description="how far ahead the demonstrator looks along its path [m]")
-    variation_m: float = Field(ge=0, description="largest sideways wander of a demonstration [m]")
+    pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the demonstrator looks along its path [m]")
+    variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
     paper: PaperSettings
 
@@ -67,6 +68,11 @@ class Task(Settings, ABC):
                 f"step_m must be over position_tolerance_m and at most {MAX_STEP_PER_TOLERANCE} times it"
                 f" ({self.position_tolerance_m:g} < step_m <= {MAX_STEP_PER_TOLERANCE * self.position_tolerance_m:g}),"
                 f" found {self.step_m:g}"
+            )
+        chords = np.linalg.norm(np.diff(np.array(self.waypoints), axis=0), axis=1)
+        if chords.min() < _LEAST_CHORD_M:
+            raise ValueError(
+                f"waypoints must lie at least {_LEAST_CHORD_M:g} m from their neighbours, found {chords.min():g} m"
             )
         for name in ("start_quaternion", "goal_quaternion"):
             length = float(np.linalg.norm(getattr(self, name)))
