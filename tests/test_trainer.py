@@ -104,7 +104,7 @@ def assert_same_run(one: Trainer, two: Trainer) -> None:
 
 KINDS: dict[str, dict[str, Any]] = {
     "fast": {},
-    "paper": {"trials": "chosen", "double": False, "updates_per_round": 1, "episodes_at_once": 1, "warm_up": 20},
+    "paper": {"trials": "chosen", "double": False, "rounds_per_update": 3, "episodes_at_once": 1, "warm_up": 20},
     "never back": {"trials": "chosen", "step_back": False, "bootstrap_undone": True},
 }
 

@@ -29,7 +29,8 @@ class AgentSettings(Settings):
     target_rate: float = Field(gt=0, le=1, description="share of the way the target network moves at a target update")
     target_every: Count = Field(description="updates between two target updates")
     episodes_at_once: Count = Field(description="episodes that run side by side")
-    updates_per_round: Count = Field(description="updates after every step of all episodes")
+    rounds_per_update: Count = Field(description="steps of all episodes between two times of updating")
+    updates_per_round: Count = Field(description="updates at each such time")
     trials: Literal["all", "chosen"] = Field(
         description="in a state, try every action whose reward is known without asking, or only the chosen one"
     )

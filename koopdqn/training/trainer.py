@@ -124,9 +124,8 @@ class Trainer:
         while not self._finished():
             self._round()
             checks = []
-            for _ in range(self.agent.updates_per_round):
-                if self.env_steps < self.agent.warm_up:
-                    break
+            due = self.env_steps >= self.agent.warm_up and self.rounds % self.agent.rounds_per_update == 0
+            for _ in range(self.agent.updates_per_round if due else 0):
                 self._losses.append(self.learner.update(self._replay.sample(self._batch_rng, self.agent.batch)))
                 if self.learner.updates % self.settings.check_every == 0:
                     checks.append(self._check())
