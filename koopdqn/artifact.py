@@ -109,6 +109,23 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
         return metadata[_KEY], {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
 
 
+def check_task(what: str, found: Any, task: Settings) -> None:
+    """Raise unless a file's metadata of its task, ``found``, is that of a task.
+
+    Raises:
+        BadInputError: it is not; the keys that differ are named. ``what`` names the file.
+    """
+    wanted = described(task)
+    if found == wanted:
+        return
+    known = found if isinstance(found, dict) else {}
+    differing = sorted(key for key in wanted.keys() | known.keys() if known.get(key) != wanted.get(key))
+    raise BadInputError(
+        f"{what} must be of task {wanted['name']} with the present settings, found task {known.get('name', found)}"
+        f" (differing: {', '.join(differing)})"
+    )
+
+
 def described(settings: Settings) -> dict[str, Any]:
     """Return settings as JSON values that :func:`koopdqn.config.settings.load_settings` turns back into them."""
     cls = type(settings)

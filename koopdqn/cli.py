@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from koopdqn import __version__, console
+from koopdqn.commands.feedback_app import feedback_app
 from koopdqn.errors import BadInputError
 from koopdqn.exit_status import guard
 
@@ -38,6 +39,14 @@ _COMMANDS = {
     "report": (
         "Draw the paper's figures and tables beside ours, from finished runs.",
         ("koopdqn report", "koopdqn report --make", "koopdqn report 'report.runs=[DIR,DIR]'"),
+    ),
+    "import": (
+        "Read real demonstrations (CSV or HDF5), check them and keep them as one HDF5 file.",
+        ("koopdqn import demos=log.csv", "koopdqn import 'demos=logs/*.csv' out=runs/mine"),
+    ),
+    "export": (
+        "Write demonstrations as CSV.",
+        ("koopdqn export demos=runs/mine/demos.hdf5", "koopdqn export demos=demos.hdf5 export.rotation=vector"),
     ),
 }
 """The commands that take a config: what each does, and examples."""
@@ -210,6 +219,9 @@ def _doctor(as_json: AsJson = False, debug: Debug = False) -> int:
         return doctor.run(as_json=as_json)
 
     return guard(work, debug=debug)
+
+
+app.add_typer(feedback_app, name="feedback")
 
 
 def _compose_and_run(name: str, options: Mapping[str, object], overrides: Sequence[str], *, as_json: bool) -> int:

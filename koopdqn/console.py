@@ -82,7 +82,7 @@ class Stage:
 
 
 @contextmanager
-def stage(description: str, total: float | None = None) -> Iterator[Stage]:
+def stage(description: str, total: float | None = None, *, bar: bool = True) -> Iterator[Stage]:
     """Show a stage of long work on standard error while the block runs.
 
     On a terminal a bar with the time left, replaced by one line at the end; elsewhere one line at the
@@ -91,9 +91,10 @@ def stage(description: str, total: float | None = None) -> Iterator[Stage]:
     Args:
         description: what is being done, in a few words.
         total: the number of steps, or None when it is not known.
+        bar: whether a terminal shows a bar; not where something else owns the terminal meanwhile.
     """
     console, started = err(), time.monotonic()
-    if console.is_terminal and not console.is_dumb_terminal:
+    if bar and console.is_terminal and not console.is_dumb_terminal:
         from rich.markup import escape
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -104,8 +105,8 @@ def stage(description: str, total: float | None = None) -> Iterator[Stage]:
             TimeRemainingColumn(),
             TextColumn("{task.fields[note]}", markup=False),
         )
-        with Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as bar:
-            current = Stage(bar, bar.add_task(description, total=total, note=""))
+        with Progress(*columns, console=console, transient=True, redirect_stdout=False, redirect_stderr=False) as shown:
+            current = Stage(shown, shown.add_task(description, total=total, note=""))
             yield current
     else:
         note(f"{description} ...")

@@ -58,6 +58,9 @@ def _report(error: Exception, *, debug: bool) -> int:
 
         traceback.print_exception(error)
     known = error if isinstance(error, KoopdqnError) else explain(error)
+    if known is not None and known.exit_status == INTERRUPTED:
+        console.note(f"koopdqn: {known}; everything so far is kept")
+        return INTERRUPTED
     if known is not None:
         console.fail(str(known))
         return known.exit_status

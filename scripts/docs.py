@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.feedback.schema import AnswerLine
+from koopdqn.feedback.schema import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
 from koopdqn.intent.schema import FitReport
 from koopdqn.reporting.schema import ReportFile
 from koopdqn.schema import ReportModel
@@ -34,6 +34,10 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "fit.json": FitReport,
     "train.json": TrainReport,
     "feedback.jsonl": AnswerLine,
+    "feedback.jsonl, undo": UndoLine,
+    "feedback.jsonl, edit": EditLine,
+    "feedback.jsonl, drop": DropLine,
+    "feedback.jsonl, opinion": OpinionLine,
     "eval.json": EvaluationFile,
     "report.json": ReportFile,
 }

@@ -14,7 +14,7 @@ from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.generator import DemonstrationSettings
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import RewardSettings
-from koopdqn.feedback.oracle import Answer, Question
+from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.pose import Array
@@ -79,7 +79,7 @@ def as_demonstrations(task: str, trajectories: list[Array]) -> Demonstrations:
     return Demonstrations(task, "UR5", items)
 
 
-class Clerk:
+class Clerk(Oracle):
     """An oracle that answers by a rule and keeps what it was asked."""
 
     def __init__(self, rule: Callable[[Question], bool | None] = lambda question: True) -> None:

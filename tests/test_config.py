@@ -262,6 +262,18 @@ class TestOverrides:
             "hydra.output_subdir=null",
         ]
 
+    def test_another_oracle_goes_on_without_the_settings_of_the_first(self, tmp_path: Path) -> None:
+        record(tmp_path, ["oracle=terminal", "oracle.teacher=anna", "seed=4", "command=train"])
+        found = prepare("train", [f"run={tmp_path}", "oracle=scripted"]).overrides
+        assert found[:3] == ["seed=4", f"run={tmp_path}", "oracle=scripted"]
+        same = prepare("train", [f"run={tmp_path}", "oracle.teacher=bert"]).overrides
+        assert same[:4] == ["oracle=terminal", "seed=4", f"run={tmp_path}", "oracle.teacher=bert"]
+
+    def test_a_journal_is_named_in_short_or_in_full(self) -> None:
+        for name in ("journal", "oracle.journal"):
+            found = prepare("train", ["oracle=replay", f"{name}=a folder/feedback.jsonl"]).overrides
+            assert found[1] == "oracle.journal='a folder/feedback.jsonl'"
+
     def test_eval_takes_the_overrides_of_the_run_it_measures(self, tmp_path: Path) -> None:
         record(tmp_path, ["task=knife", "out=here", "demos=x.hdf5", "command=train"])
         found = prepare("eval", [f"run={tmp_path}", "seed=1"])

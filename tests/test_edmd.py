@@ -4,7 +4,7 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koopdqn.intent.edmd import KoopmanModel, koopman_matrix, snapshot_pairs
+from koopdqn.intent.edmd import KoopmanModel, koopman_matrix, koopman_rows, snapshot_pairs, within_radius
 from koopdqn.intent.observables import Observables, RandomFourier, SecondOrder
 from koopdqn.pose import Array
 
@@ -113,7 +113,7 @@ def test_the_ridge_at_its_ends_is_least_squares_or_persistence() -> None:
 def test_prediction_is_lift_multiply_and_read_back(seed: int, scale: float) -> None:
     """Eqs. 13, 14: x̂' = g⁻¹(K g(x)), whatever origin and unit are."""
     rng = np.random.default_rng(seed)
-    lift = RandomFourier(count=5, length_scale=1.0, seed=0)
+    lift = RandomFourier(count=5, length_scales=(1.0, 1.0), seed=0)
     model = KoopmanModel(lift, rng.normal(size=3), scale, rng.normal(size=(8, 8)))
     states = rng.normal(size=(4, 3))
     np.testing.assert_allclose(model.predict(states), model.project(model.lift(states) @ model.matrix.T), atol=1e-10)
@@ -124,5 +124,24 @@ def test_what_vanishes_at_the_center_keeps_it_fixed() -> None:
     rng = np.random.default_rng(0)
     center = np.array([0.5, 0.1, 0.4])
     before, after = center + rng.normal(size=(50, 3)), center + rng.normal(size=(50, 3))
-    fitted = KoopmanModel.fit(RandomFourier(count=20, length_scale=1.0, seed=0), before, after, center, 0.3, 1e-6)
+    fitted = KoopmanModel.fit(
+        RandomFourier(count=20, length_scales=(1.0, 1.0), seed=0), before, after, center, 0.3, 1e-6
+    )
     np.testing.assert_array_equal(fitted.predict(center[None]), center[None])
+
+
+@given(seed=st.integers(0, 200), radius=st.floats(0.1, 2.0))
+def test_the_spectral_constraint_bounds_the_eigenvalues_and_leaves_what_is_within(seed: int, radius: float) -> None:
+    matrix = np.random.default_rng(seed).normal(size=(6, 6))
+    bounded = within_radius(matrix, radius)
+    assert np.abs(np.linalg.eigvals(bounded)).max() <= radius * (1 + 1e-6)
+    np.testing.assert_array_equal(within_radius(matrix, 100.0), matrix)
+
+
+def test_the_rows_of_every_ridge_are_those_of_the_whole_matrix() -> None:
+    rng = np.random.default_rng(0)
+    before, after = rng.normal(size=(2, 40, 5))
+    for ridge, rows in zip(
+        (0.0, 1e-3, 1.0), koopman_rows(before, after[:, :2], np.ones(40), (0.0, 1e-3, 1.0)), strict=True
+    ):
+        np.testing.assert_allclose(rows, koopman_matrix(before, after, ridge)[:2], atol=1e-10)

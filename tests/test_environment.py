@@ -22,7 +22,7 @@ Make = Callable[..., KoopmanEnvironment]
 def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
     trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
-    return IntentReward(reward.task, reward.model, trust, reward.settings)
+    return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward
 
 
 def test_where_the_model_is_trusted_nobody_is_asked(workcell: Workcell, reward: IntentReward) -> None:
-    sure = IntentReward(reward.task, reward.model, reward.trust, reward.settings.model_copy(update={"doubt": 0.0}))
+    sure = IntentReward(reward.task, reward.model, reward.trust, reward.settings.model_copy(update={"doubt": 0.0}), reward.path)
     clerk = Clerk()
     environment = KoopmanEnvironment(workcell, sure, clerk, 100, 1)
     environment.reset()

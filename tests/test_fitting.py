@@ -2,7 +2,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from parts import Parts, as_demonstrations, straight_poses
+from parts import Parts, as_demonstrations, load_parts, straight_poses
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
@@ -62,10 +62,11 @@ def test_the_errors_that_bound_trust_are_of_raw_or_of_rescaled_predictions(
     fitted: Fitted, demonstrations: Demonstrations, parts: Parts, trajectories: list[Array]
 ) -> None:
     step = parts.task.step_m
-    raw_trust = parts.trust.model_copy(update={"error_of": "raw", "matching": "step"})
-    scaled_trust = parts.trust.model_copy(update={"error_of": "rescaled", "matching": "step"})
+    box = load_parts("trust=box").trust
+    raw_trust = box.model_copy(update={"error_of": "raw", "matching": "step"})
+    scaled_trust = box.model_copy(update={"error_of": "rescaled", "matching": "step"})
     held_out, others = trajectories[0], trajectories[1:]
-    fold = IntentModel.fit(others, parts.task, parts.intent)
+    fold = IntentModel.fit(others, parts.task, parts.intent.with_ridge(fitted.report["ridge"]))
     for trust, predicted in (
         (raw_trust, fold.predict(held_out[:-1])),
         (scaled_trust, fold.preferred(held_out[:-1], step)),
@@ -127,10 +128,28 @@ def test_demonstrations_of_another_task_are_refused(parts: Parts, demonstrations
         fit(other, parts.task, parts.intent, parts.trust)
 
 
-def test_a_single_demonstration_is_refused(parts: Parts, demonstrations: Demonstrations) -> None:
+def test_of_a_single_demonstration_a_model_is_fitted_and_nothing_measured(
+    parts: Parts, demonstrations: Demonstrations
+) -> None:
     single = Demonstrations("shelf", demonstrations.arm, demonstrations.items[:1])
-    with pytest.raises(BadInputError, match="at least 2 demonstrations to leave one out, found 1"):
-        fit(single, parts.task, parts.intent, parts.trust)
+    found = fit(single, parts.task, parts.intent, parts.trust)
+    for key in ("one_step_error_m", "one_step_error_per_step_m", "roll_out_error_m", "sixty_samples"):
+        assert found.report[key] is None
+    trust = found.report["trust"]
+    assert trust["nominal_coverage"] is None
+    assert trust["held_out_path_coverage"] is None
+    assert trust["radius_m"] == pytest.approx(0.015)
+    assert found.report["regularisation"] == []
+    start = agent_steps(single, parts.task)[0][:1]
+    end = found.model.roll_out(start, 400, parts.task.step_m)[-1]
+    assert pose.position_distance(end, parts.task.goal)[0] < 5e-3
+
+
+def test_coverage_is_measured_on_fresh_demonstrations(parts: Parts, demonstrations: Demonstrations) -> None:
+    few = Demonstrations("shelf", "UR5", demonstrations.items[:2])
+    trust = fit(few, parts.task, parts.intent, parts.trust, fresh=demonstrations).report["trust"]
+    assert trust["fresh"] == 5
+    assert trust["measured_coverage"] >= 2 / 5
 
 
 def test_demonstrations_that_do_not_end_at_the_goal_are_refused(parts: Parts, demonstrations: Demonstrations) -> None:
@@ -167,7 +186,7 @@ def test_the_same_demonstrations_give_the_same_fit(demonstrations: Demonstration
     few = Demonstrations("shelf", "UR5", demonstrations.items[:2])
     one, two = (fit(few, parts.task, parts.intent, parts.trust) for _ in range(2))
     np.testing.assert_array_equal(one.model.position.matrix, two.model.position.matrix)
-    np.testing.assert_array_equal(one.trust.deviation, two.trust.deviation)
+    np.testing.assert_array_equal(one.trust.radius, two.trust.radius)
     assert one.report == two.report
 
 

@@ -6,16 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import Clerk
+from questions import question
 
 from koopdqn.errors import BadInputError
-from koopdqn.feedback.journal import JournalledOracle, read_journal
+from koopdqn.feedback.journal import JournalledOracle
 from koopdqn.feedback.oracle import Answer, Question
-
-
-def question(number: int) -> Question:
-    rng = np.random.default_rng(number)
-    before, reached, predicted = rng.normal(size=(3, 7))
-    return Question(number // 3, number % 3, before, number % 10, reached, predicted, "far")
+from koopdqn.feedback.records import read_lines
 
 
 def thirds(asked: Question) -> bool | None:
@@ -38,7 +34,7 @@ class _Reader:
         self.seen: list[int] = []
 
     def answer(self, question: Question) -> Answer:
-        self.seen.append(len(read_journal(self.path)))
+        self.seen.append(len(read_lines(self.path)))
         return Answer(True, "reader")
 
     def close(self) -> None:
@@ -71,7 +67,7 @@ def test_a_line_says_everything(tmp_path: Path) -> None:
     path = tmp_path / "feedback.jsonl"
     filled(path, 2)
     asked = question(1)
-    assert read_journal(path)[1] == {
+    assert read_lines(path)[1] == {
         "kind": "answer",
         "number": 1,
         "episode": asked.episode,
@@ -82,6 +78,7 @@ def test_a_line_says_everything(tmp_path: Path) -> None:
         "predicted": asked.predicted.tolist(),
         "reason": "far",
         "right": False,
+        "better": None,
         "source": "clerk",
         "seconds": 0.25,
     }
@@ -102,7 +99,7 @@ def test_a_replay_gives_the_same_answers_and_asks_only_what_is_new(
         question(number).pose.tolist() for number in range(count, count + more)
     ]
     assert oracle.questions == count + more
-    entries = read_journal(path)
+    entries = read_lines(path)
     assert [item["number"] for item in entries] == list(range(count + more))
 
 
@@ -116,7 +113,7 @@ def test_answers_that_a_checkpoint_holds_are_passed_over(tmp_path: Path) -> None
     assert not clerk.asked
     oracle.answer(question(5))
     assert len(clerk.asked) == 1
-    assert read_journal(path)[-1]["number"] == 5
+    assert read_lines(path)[-1]["number"] == 5
 
 
 def test_a_journal_shorter_than_the_checkpoint_says_is_refused(tmp_path: Path) -> None:
@@ -140,7 +137,7 @@ def test_a_replay_refuses_another_question(tmp_path: Path, field: str) -> None:
         oracle.answer(Question(**changed))
     assert "\n" not in str(caught.value)
     assert not clerk.asked
-    assert len(read_journal(path)) == 3
+    assert len(read_lines(path)) == 3
 
 
 def test_a_last_line_torn_anywhere_is_dropped_and_asked_again(tmp_path: Path) -> None:

@@ -4,15 +4,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from koopdqn.intent.observables import Observables, RadialTurn, RandomFourier, SecondOrder
+from koopdqn.intent.observables import (
+    Observables,
+    Polynomial,
+    RadialBasis,
+    RadialTurn,
+    RandomFourier,
+    RotationEntries,
+    SecondOrder,
+)
 from koopdqn.pose import Array
 
 KNOTS = (0.05, 0.2, 1.0, 3.0)
 EVERY: list[Observables] = [
     SecondOrder(),
-    RandomFourier(count=7, length_scale=0.4, seed=1),
-    RandomFourier(count=300, length_scale=1.0, seed=0),
+    Polynomial(degree=4),
+    RandomFourier(count=7, length_scales=(0.4, 0.4), seed=1),
+    RandomFourier(count=300, length_scales=(1.0, 1.0), seed=0),
     RadialTurn(knots=KNOTS),
+    RotationEntries(),
 ]
 
 numbers = st.floats(-3, 3, allow_nan=False)
@@ -50,7 +60,7 @@ def test_the_second_order_lift_has_the_papers_entries_in_the_papers_order() -> N
 def test_random_features_approximate_the_gaussian_kernel() -> None:
     """√(2/F) cos(wᵀx + b) has inner products near exp(−‖x − y‖²/2ℓ²), also as differences from the origin."""
     scale = 0.7
-    many = RandomFourier(count=5000, length_scale=scale, seed=3)
+    many = RandomFourier(count=5000, length_scales=(scale, scale), seed=3)
     points = np.random.default_rng(0).normal(scale=0.5, size=(6, 3))
     features = many.features(points)
 
@@ -64,7 +74,9 @@ def test_random_features_approximate_the_gaussian_kernel() -> None:
 
 def test_the_seed_fixes_the_features() -> None:
     point = np.ones((1, 3))
-    one, same, other = (RandomFourier(count=5, length_scale=1.0, seed=seed).features(point) for seed in (0, 0, 1))
+    one, same, other = (
+        RandomFourier(count=5, length_scales=(1.0, 1.0), seed=seed).features(point) for seed in (0, 0, 1)
+    )
     np.testing.assert_array_equal(one, same)
     assert not np.allclose(one, other)
 
@@ -82,3 +94,32 @@ def test_radial_features_share_direction_and_sum_to_it(angle: float, other: floa
 def test_knots_that_do_not_increase_are_refused(knots: tuple[float, ...]) -> None:
     with pytest.raises(ValidationError, match="knots must be positive and increase"):
         RadialTurn(knots=knots)
+
+
+@given(seed=st.integers(0, 100), degree=st.integers(1, 5))
+def test_polynomials_are_all_monomials_up_to_their_degree(seed: int, degree: int) -> None:
+    states = np.random.default_rng(seed).normal(size=(4, 2))
+    found = Polynomial(degree=degree).features(states)
+    wanted = [states[:, 0] ** i * states[:, 1] ** (d - i) for d in range(2, degree + 1) for i in range(d, -1, -1)]
+    np.testing.assert_allclose(found, np.array(wanted).T.reshape(4, -1), rtol=1e-12)
+
+
+def test_bumps_stand_on_the_states_vanish_at_the_origin_and_are_restored() -> None:
+    states = np.random.default_rng(0).normal(size=(50, 3))
+    lift = RadialBasis(count=9, length_scale=0.5).placed(states)
+    centers = lift.arrays()["centers"]
+    assert all((states == center).all(axis=1).any() for center in centers)
+    assert len(np.unique(centers, axis=0)) == 9
+    np.testing.assert_allclose(lift.features(np.zeros((1, 3))), 0.0, atol=1e-15)
+    again = RadialBasis(count=9, length_scale=0.5).restored(lift.arrays())
+    np.testing.assert_array_equal(again.features(states), lift.features(states))
+    assert len(RadialBasis(count=80, length_scale=0.5).placed(states).arrays()["centers"]) == 50
+
+
+@given(seed=st.integers(0, 100))
+def test_rotation_entries_know_no_wrap(seed: int) -> None:
+    axis = np.random.default_rng(seed).normal(size=(1, 3))
+    axis /= np.linalg.norm(axis)
+    lift = RotationEntries()
+    np.testing.assert_allclose(lift.features(3.0 * axis), lift.features((3.0 - 2 * np.pi) * axis), atol=1e-12)
+    np.testing.assert_allclose(lift.features(np.zeros((1, 3))), 0.0)

@@ -32,10 +32,10 @@ def test_errors_of_the_held_out_demonstrations_are_those_of_the_cross_validation
 def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
     demonstrations: "Demonstrations", trajectories: "list[Array]", parts: "Parts"
 ) -> None:
-    intent = load_parts("intent=paper").intent
+    intent, box = load_parts("intent=paper").intent, load_parts("trust=box").trust
 
     def asked(**changes: object) -> np.ndarray:
-        trust = parts.trust.model_copy(update=changes)
+        trust = box.model_copy(update=changes)
         return study(first(demonstrations, 3), parts.task, intent, trust).held_out.asked
 
     assert not asked(sigmas=1e3, error_limit_m=1.0).any()

@@ -132,12 +132,12 @@ def test_of_one_seed_the_evaluated_run_is_shown_and_else_the_newest(
 def test_of_two_configurations_that_of_the_config_tree_is_shown_and_else_the_larger(
     tmp_path: Path, parts: "Parts", paper: "Parts", presets: "Presets", demonstrations: "Demonstrations"
 ) -> None:
-    def other(sigmas: float) -> "Parts":
-        return replace(parts, trust=parts.trust.model_copy(update={"sigmas": sigmas}))
+    def other(coverage: float) -> "Parts":
+        return replace(parts, trust=parts.trust.model_copy(update={"coverage": coverage}))
 
     for seed in range(2):
-        write_run(tmp_path / f"two{seed}", other(2.0), demonstrations, seed, age=10)
-    write_run(tmp_path / "one", other(1.0), demonstrations)
+        write_run(tmp_path / f"two{seed}", other(0.5), demonstrations, seed, age=10)
+    write_run(tmp_path / "one", other(0.6), demonstrations)
     groups, left_out = group_runs(find_runs([tmp_path])[0], presets)
     assert [run.folder.name for run in groups["shelf", DEFAULT].runs] == ["two0", "two1"]
     assert [item.folder.name for item in left_out] == ["one"]

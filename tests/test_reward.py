@@ -17,7 +17,7 @@ AXES = np.array([4, 5, 6, 7, 8, 9])
 
 
 def reward_with(base: IntentReward, **fields: object) -> IntentReward:
-    return IntentReward(base.task, base.model, base.trust, base.settings.model_copy(update=fields))
+    return IntentReward(base.task, base.model, base.trust, base.settings.model_copy(update=fields), base.path)
 
 
 def beside(trajectories: list[Array], seed: int, count: int, spread: float) -> tuple[Array, np.ndarray]:
@@ -96,9 +96,9 @@ def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, traj
 def test_what_must_be_trusted_is_the_reached_state_or_both(
     reward: IntentReward, trajectories: list[Array], needs: str
 ) -> None:
-    settings_ = reward.trust.settings.model_copy(update={"needs": needs, "sigmas": 1.0})
-    trust = replace(reward.trust, settings=settings_)
-    judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
+    settings_ = reward.trust.settings.model_copy(update={"needs": needs})
+    trust = replace(reward.trust, settings=settings_, radius=0.6 * reward.trust.radius)
+    judged = IntentReward(reward.task, reward.model, trust, SIGN, reward.path).judge(*(data := beside(trajectories, 3, 200, 0.012)))
     poses, steps = data
     here = trust.inside(poses, steps)
     there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
@@ -122,7 +122,7 @@ ASKED_STEPS: list[tuple[int, np.ndarray]] = []
 def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, trajectories: list[Array]) -> None:
     recording = _Recording(**{name: getattr(reward.trust, name) for name in reward.trust.__dataclass_fields__})
     ASKED_STEPS.clear()
-    IntentReward(reward.task, reward.model, recording, SIGN).judge(trajectories[0][[3, 40]], np.array([3, 40]))
+    IntentReward(reward.task, reward.model, recording, SIGN, reward.path).judge(trajectories[0][[3, 40]], np.array([3, 40]))
     by_count = dict(ASKED_STEPS)
     assert by_count.keys() == {2, 20}
     np.testing.assert_array_equal(by_count[2], [3, 40])

@@ -36,6 +36,7 @@ SMALL = (
     "intent.stabilisation.copies=1",
     "trust.error_limit_m=0.004",
     "trust.error_limit_rad=0.04",
+    "trust=box",
     "trust.sigmas=2.0",
     "agent.warm_up=500",
     "agent.replay=2000",

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 from parts import Parts
 
@@ -7,6 +9,7 @@ from koopdqn.feedback.oracle import Oracle, Question
 from koopdqn.feedback.scripted import ScriptedOracle, ScriptedOracleSettings, demonstrator_agrees
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.workcell import Workcell
 
 
 def question(at: Array, action: int, reached: Array) -> Question:
@@ -40,11 +43,13 @@ def test_some_legal_action_is_right_from_anywhere(shelf_task: ShelfTask) -> None
     assert np.any(right, axis=0).all()
 
 
-def test_the_same_question_has_the_same_answer_whatever_the_seed(parts: Parts) -> None:
+def test_the_same_question_has_the_same_answer_whatever_the_seed(
+    parts: Parts, workcell: Workcell, tmp_path: Path
+) -> None:
     settings = ScriptedOracleSettings(name="expert")
     start = parts.task.nominal_start
     asked = question(start, 4, reached_poses(start[None], parts.task)[0, 4])
-    one, other = (settings.open(parts.task, seed) for seed in (0, 1))
+    one, other = (settings.open(workcell, seed, tmp_path) for seed in (0, 1))
     assert one.answer(asked) == other.answer(asked) == one.answer(asked)
     assert one.answer(asked).source == "expert"
     assert isinstance(one, Oracle)

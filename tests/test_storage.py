@@ -49,7 +49,7 @@ def test_an_edited_intent_is_refused(tmp_path: Path, stored: StoredIntent, parts
     stored.write(path, parts.task)
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
-    arrays["trust_deviation"] = arrays["trust_deviation"] * 2
+    arrays["trust_radius"] = arrays["trust_radius"] * 2
     np.savez(path, **arrays)
     with pytest.raises(BadInputError, match="changed by hand"):
         read_intent(path, parts.task)

@@ -11,8 +11,9 @@ from parts import Clerk, Parts
 from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import ASKED, TRUSTED, IntentReward
-from koopdqn.feedback.journal import JournalledOracle, read_journal
+from koopdqn.feedback.journal import JournalledOracle
 from koopdqn.feedback.oracle import Answer, Oracle, Question
+from koopdqn.feedback.records import read_lines
 from koopdqn.feedback.scripted import ScriptedOracle, demonstrator_agrees
 from koopdqn.pose import Array
 from koopdqn.rollout import STUCK, SUCCESS, Episode, roll_out
@@ -84,13 +85,13 @@ def make(
 def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
     trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
-    return IntentReward(reward.task, reward.model, trust, reward.settings)
+    return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
 
 
 def half_trusting(reward: IntentReward) -> IntentReward:
     """The same reward with a narrow trust domain, so that some things are known and some must be asked."""
-    narrow = reward.trust.settings.model_copy(update={"sigmas": 0.7})
-    return IntentReward(reward.task, reward.model, replace(reward.trust, settings=narrow), reward.settings)
+    narrow = replace(reward.trust, radius=0.5 * reward.trust.radius)
+    return IntentReward(reward.task, reward.model, narrow, reward.settings, reward.path)
 
 
 def assert_same_run(one: Trainer, two: Trainer) -> None:
@@ -402,11 +403,11 @@ def test_an_interrupted_run_goes_on_from_its_checkpoint_and_journal_and_asks_no_
     assert checkpoint is not None
     answered = int(checkpoint.about["state"]["counters"]["questions"])
     assert first_check.updates == 10
-    assert answered < len(read_journal(journal)) == whole.questions - 3
+    assert answered < len(read_lines(journal)) == whole.questions - 3
     rest = make(JournalledOracle(counted, journal, answered), **settings)
     rest.restore(checkpoint.arrays, checkpoint.about["state"])
     rest.run()
-    assert len(counted.asked) == whole.questions == len(read_journal(journal))
+    assert len(counted.asked) == whole.questions == len(read_lines(journal))
     for name, values in whole.best.items():
         np.testing.assert_array_equal(rest.best[name], values, err_msg=name)
     assert rest.history.state() == whole.history.state()

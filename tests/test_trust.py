@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from parts import load_parts
 
 from koopdqn import pose
+from koopdqn.intent.box import Box, BoxSettings
 from koopdqn.intent.fitting import Fitted
-from koopdqn.intent.trust import COMPONENTS, TrustDomain, TrustSettings
+from koopdqn.intent.trust import COMPONENTS, TrustDomain
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
 
@@ -19,11 +20,13 @@ MATCHINGS: list[Matching] = ["step", "any"]
 
 
 @cache
-def _default() -> TrustSettings:
-    return load_parts().trust
+def _default() -> BoxSettings:
+    trust = load_parts("trust=box").trust
+    assert isinstance(trust, BoxSettings)
+    return trust
 
 
-def settings(matching: Matching, sigmas: float = 3.0, floor: float = 0.002) -> TrustSettings:
+def settings(matching: Matching, sigmas: float = 3.0, floor: float = 0.002) -> BoxSettings:
     changes = {
         "matching": matching,
         "sigmas": sigmas,
@@ -45,9 +48,14 @@ def no_errors(trajectories: list[Array]) -> list[Array]:
     return [np.zeros((len(trajectory) - 1, 2)) for trajectory in trajectories]
 
 
-def domain(matching: Matching, sigmas: float = 3.0, errors: list[Array] | None = None) -> TrustDomain:
-    shown = lines([-0.004, 0.0, 0.004])
-    return TrustDomain.fit(shown, errors or no_errors(shown), FRAME, settings(matching, sigmas))
+def domain(matching: Matching, sigmas: float = 3.0, errors: list[Array] | None = None) -> Box:
+    return drawn_around(lines([-0.004, 0.0, 0.004]), settings(matching, sigmas), errors)
+
+
+def drawn_around(shown: list[Array], chosen: BoxSettings, errors: list[Array] | None = None) -> Box:
+    box = TrustDomain.fit(shown, errors or no_errors(shown), FRAME, chosen)
+    assert isinstance(box, Box)
+    return box
 
 
 def at(x: float, y: float = 0.0, z: float = 0.0, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
@@ -133,7 +141,7 @@ def test_matching_by_step_asks_for_that_step_and_matching_any_for_none(x: float,
 
 def test_matching_by_step_takes_the_demonstrations_that_have_the_step() -> None:
     short, long = lines([0.0], 6)[0], lines([0.01], 11)[0]
-    drawn = TrustDomain.fit([short, long], no_errors([short, long]), FRAME, settings("step"))
+    drawn = drawn_around([short, long], settings("step"))
     np.testing.assert_allclose(drawn.mean[:6, 1], 0.005)
     np.testing.assert_allclose(drawn.mean[6:, 1], 0.01)
     np.testing.assert_allclose(drawn.deviation[:6, 1], 0.005)
@@ -141,7 +149,7 @@ def test_matching_by_step_takes_the_demonstrations_that_have_the_step() -> None:
 
 def test_matching_any_aligns_demonstrations_of_different_length() -> None:
     slow, fast = lines([0.0], 11)[0], lines([0.0], 11)[0][::2]
-    drawn = TrustDomain.fit([slow, fast], no_errors([slow, fast]), FRAME, settings("any"))
+    drawn = drawn_around([slow, fast], settings("any"))
     np.testing.assert_allclose(drawn.mean[:, 0], 0.01 * np.arange(11), atol=1e-9)
     np.testing.assert_allclose(drawn.deviation[:, 0], 0.002)
 
@@ -182,7 +190,7 @@ def test_a_reason_is_given_exactly_where_trust_ends(
 @pytest.mark.parametrize("matching", MATCHINGS)
 def test_without_a_floor_and_without_spread_the_reason_is_still_the_distance(matching: Matching) -> None:
     same = lines([0.0, 0.0])
-    drawn = TrustDomain.fit(same, no_errors(same), FRAME, settings(matching, floor=0.0))
+    drawn = drawn_around(same, settings(matching, floor=0.0))
     point = at(0.05, 0.001)
     assert not drawn.inside(point, np.array([5]))[0]
     assert "standard deviations from the demonstrations" in drawn.outside(point[0], 5)
@@ -197,7 +205,8 @@ def test_angles_are_those_in_the_frame() -> None:
     for trajectory in lines([0.0, 0.001, 0.002]):
         turns = pose.from_rotation_vector(0.01 * rng.normal(size=(len(trajectory), 3)))
         shown.append(pose.make(trajectory[:, :3], pose.multiply(left, turns)))
-    drawn = TrustDomain.fit(shown, no_errors(shown), frame, settings("step"))
+    drawn = settings("step").fit(shown, no_errors(shown), frame)
+    assert isinstance(drawn, Box)
     assert np.abs(drawn.mean[:, 3:]).max() < 0.05
     assert drawn.inside(pose.make([0.05, 0.001, 0.0], left)[None], np.array([5]))[0]
 
@@ -211,3 +220,25 @@ def test_trust_everywhere_and_nowhere_ask_nothing_of_the_pose(x: float, step: in
         drawn = TrustDomain.fit(shown, errors, FRAME, chosen)
         assert drawn.inside(at(x), np.array([step]))[0] == trusted
         assert (drawn.outside(at(x)[0], step) == "") == trusted
+
+
+@given(y=st.floats(-0.03, 0.03), x=st.floats(-0.02, 0.12))
+def test_a_distance_of_at_most_one_is_inside(x: float, y: float) -> None:
+    drawn = domain("any")
+    far = float(drawn.distance(at(x, y))[0])
+    if abs(far - 1.0) > 1e-9:
+        assert drawn.inside(at(x, y), np.array([0]))[0] == (far < 1.0)
+
+
+@given(far=st.floats(0.0, 0.03), radius=st.floats(0.005, 0.02))
+def test_a_ball_is_trusted_as_far_as_its_radius_and_nothing_else_changes(far: float, radius: float) -> None:
+    drawn = domain("any")
+    middle, step = at(0.05, 0.2), np.array([0])
+    wider = drawn.extended(middle, np.array([radius]))
+    if abs(far - radius) > 1e-9:
+        assert wider.inside(at(0.05, 0.2 + far), step)[0] == (far < radius)
+        assert (wider.distance(at(0.05, 0.2 + far))[0] <= 1.0) == (far < radius)
+    assert not wider.inside(at(0.05, 0.2, turn=(0.5, 0.0, 0.0)), step)[0]
+    assert not drawn.inside(middle, step)[0]
+    restored = TrustDomain.restore(wider.arrays(), wider.settings)
+    assert restored.inside(middle, step)[0]

@@ -15,8 +15,12 @@ _FOREIGN_INPUTS = {
     "fit": ("run", "intent_file"),
     "eval": ("demos", "intent_file"),
     "report": ("run", "demos", "intent_file"),
+    "import": ("run", "intent_file"),
+    "export": ("run", "intent_file"),
 }
-COMMANDS = ("demo", "fit", "train", "eval", "report")
+COMMANDS = ("demo", "fit", "train", "eval", "report", "import", "export")
+# Where a command's name cannot be a module's.
+_MODULES = {"import": "import_demonstrations", "export": "export_demonstrations"}
 
 
 def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
@@ -37,16 +41,24 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.commands.configuration import Configuration
+    from koopdqn.commands.deriving import with_task
 
     settings = Configuration.load(config)
     for key in _FOREIGN_INPUTS.get(command, ()):
         value = getattr(settings.inputs, key)
         if value is not None:
             name = "intent" if key == "intent_file" else key
-            raise BadInputError(f"{name}: koopdqn {command} reads no such file or folder, found {str(value)!r}")
+            found = ", ".join(value) if isinstance(value, tuple) else str(value)
+            raise BadInputError(f"{name}: koopdqn {command} reads no such file or folder, found {found!r}")
     with warnings.catch_warnings():
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        result: CommandResult = import_module(f"koopdqn.commands.{command}").run(settings, folder)
+        if command in ("fit", "train", "eval"):
+            # The run that eval measures holds its demonstrations; the others keep them in their own folder.
+            holds = (settings.inputs.run or folder) if command == "eval" else folder
+            settings = with_task(settings, holds, keep=command != "eval")
+        result: CommandResult = import_module(f"koopdqn.commands.{_MODULES.get(command, command)}").run(
+            settings, folder
+        )
     return result

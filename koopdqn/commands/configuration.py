@@ -5,18 +5,22 @@ from dataclasses import dataclass
 from typing import Any
 
 from koopdqn.artifact import described
-from koopdqn.config.settings import NonNegativeInt, PathText, Settings, load_settings, plain, validate
+from koopdqn.config.settings import NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
+from koopdqn.demonstrations.csv import ExportSettings
+from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.generator import DemonstrationSettings
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import RewardSettings
-from koopdqn.errors import unknown_name
+from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import OracleSettings
+from koopdqn.intent.fitting import FitSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.reporting.settings import ReportSettings
 from koopdqn.robot.arm import Arm
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import Task, TaskChoice
 from koopdqn.training.settings import TrainSettings
 
 # What may change between two parts of one run without changing what either does.
@@ -30,26 +34,50 @@ class Inputs(Settings):
     seed: NonNegativeInt
     out: PathText
     run: PathText | None
-    demos: PathText | None
+    demos: Sources | None
     intent_file: PathText | None
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """Everything a command may need, validated."""
+    """Everything a command may need, validated.
+
+    Attributes:
+        chosen: the option of the group ``task``: the task, or how it is made from demonstrations.
+        derived: the task made from demonstrations, with them; None before, and where the option is a task.
+    """
 
     inputs: Inputs
-    task: Task
+    chosen: TaskChoice
     intent: IntentSettings
     trust: TrustSettings
     oracle: OracleSettings
     agent: AgentSettings
     robot: Arm
     demo: DemonstrationSettings
+    fit: FitSettings
     reward: RewardSettings
+    feedback: FeedbackSettings
     train: TrainSettings
     eval: EvaluationSettings
     report: ReportSettings
+    export: ExportSettings
+    derived: Derived | None = None
+
+    @property
+    def task(self) -> Task:
+        """The task.
+
+        Raises:
+            BadInputError: it is made from demonstrations, and nothing was made yet.
+        """
+        if self.derived is not None:
+            return self.derived.task
+        if isinstance(self.chosen, Task):
+            return self.chosen
+        raise BadInputError(
+            "task: must be one that stands by itself, found one that is made from demonstrations; valid: knife, shelf"
+        )
 
     @classmethod
     def load(cls, config: Mapping[Any, Any]) -> "Configuration":
@@ -60,7 +88,7 @@ class Configuration:
         """
         content = plain(config)
         polymorphic: dict[str, type] = {
-            "task": Task,
+            "task": TaskChoice,
             "intent": IntentSettings,
             "trust": TrustSettings,
             "oracle": OracleSettings,
@@ -69,10 +97,13 @@ class Configuration:
         }
         fixed: dict[str, type[Settings]] = {
             "demo": DemonstrationSettings,
+            "fit": FitSettings,
             "reward": RewardSettings,
+            "feedback": FeedbackSettings,
             "train": TrainSettings,
             "eval": EvaluationSettings,
             "report": ReportSettings,
+            "export": ExportSettings,
         }
         own = set(Inputs.model_fields)
         for key in content:
@@ -81,12 +112,12 @@ class Configuration:
         parts: dict[str, Any] = {"inputs": validate({key: content.get(key) for key in own}, Inputs)}
         parts |= {key: load_settings(content.get(key), base, key) for key, base in polymorphic.items()}
         parts |= {key: validate(content.get(key), model, key) for key, model in fixed.items()}
-        return cls(**parts)
+        return cls(chosen=parts.pop("task"), **parts)
 
     def shaped_by(self) -> dict[str, Any]:
         """Return what decides a training run's bytes: no path, no date, no answer source, no stopping rule."""
         train = {key: value for key, value in described(self.train).items() if key not in _WHEN_TO_STOP}
-        parts = ("task", "intent", "trust", "agent", "robot", "reward")
+        parts = ("task", "intent", "trust", "agent", "robot", "reward", "feedback")
         return {
             "seed": self.inputs.seed,
             "train": train,

@@ -5,6 +5,7 @@ from pathlib import Path
 from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
+from koopdqn.commands.deriving import DEMONSTRATIONS
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.pose import POSITION
 from koopdqn.result import CommandResult
@@ -16,7 +17,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
     workcell = stages.open_scene(config)
     demonstrations, redrawn = stages.new_demonstrations(config, workcell)
-    path = folder / stages.DEMONSTRATIONS
+    path = folder / DEMONSTRATIONS
     write_hdf5(path, demonstrations)
     paths = [item.poses[:, POSITION] for item in demonstrations.items]
     image = stages.picture(workcell.scene, demonstrations.items[0].joints, paths)

@@ -9,7 +9,6 @@ from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
 from koopdqn.commands.train import POLICY, REPORT
 from koopdqn.config.messages import shown
-from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fitting import agent_steps
@@ -22,7 +21,7 @@ from koopdqn.rollout import SUCCESS
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
     from koopdqn.dqn.policy import read_policy
-    from koopdqn.evaluation.evaluate import evaluate, table, work_units
+    from koopdqn.evaluation.evaluate import evaluate, holdout_table, table, work_units
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
@@ -31,7 +30,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
     policy, about = read_policy(source / POLICY, config.task)
-    demonstrations = read_hdf5(source / stages.DEMONSTRATIONS)
+    demonstrations = stages.demonstrations_of(config, source)
     intent = read_intent(source / stages.INTENT, config.task)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     for name, sha in made_from.items():
@@ -49,6 +48,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             config.eval,
             step_limit,
             stage.advance,
+            stages.held_out_of(config),
         )
     content = {**evaluation.report, "run": str(source)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
@@ -57,11 +57,19 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
     image = stages.picture(workcell.scene, shown.joints, paths, [LEARNED] * len(paths))
     plot_evaluation(
-        folder / "eval.png", report, evaluation.episodes, evaluation.references, demonstrations, config.task, image
+        folder / "eval.png",
+        report,
+        evaluation.episodes,
+        evaluation.references,
+        demonstrations,
+        config.task,
+        image,
+        evaluation.compared,
     )
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
         table(report),
+        *([holdout_table(report)] if report["holdout"] else []),
         f"report          {console.shown_path(folder / 'eval.json')}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]

@@ -1,5 +1,6 @@
 """The stages that several commands go through, each making what is missing and keeping it in the run folder."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,9 +8,11 @@ import numpy as np
 
 from koopdqn import console
 from koopdqn.commands.configuration import Configuration
+from koopdqn.commands.deriving import DEMONSTRATIONS
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generator import generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.fitting import Fitted, agent_steps, fit
@@ -18,7 +21,6 @@ from koopdqn.pose import POSITION, Array
 from koopdqn.robot.scene import Scene
 from koopdqn.workcell import Workcell, open_workcell
 
-DEMONSTRATIONS = "demos.hdf5"
 INTENT = "intent.npz"
 
 
@@ -33,30 +35,46 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
     Raises:
         BadInputError: the file is damaged, of another task, or not what the run folder holds already.
     """
+    if config.derived is not None:
+        _check_reach(config, config.derived.training)
+        return config.derived.training
     kept = folder / DEMONSTRATIONS
-    source = config.inputs.demos
-    if source is None and kept.exists():
-        source = kept
-    if source is not None:
-        demonstrations = read_hdf5(source)
-        if demonstrations.task != config.task.name:
-            raise BadInputError(f"demos {source}: must be of task {config.task.name}, found task {demonstrations.task}")
-        _check_reach(config, demonstrations, source)
+    sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
+    if sources:
+        demonstrations = read_demonstrations(sources, config.task.name, config.robot.name)
+        _check_reach(config, demonstrations)
     else:
         demonstrations, _ = new_demonstrations(config, workcell)
     if not kept.exists():
         write_hdf5(kept, demonstrations)
-    elif source != kept and read_hdf5(kept).digest() != demonstrations.digest():
-        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {source}")
+    elif read_hdf5(kept).digest() != demonstrations.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
     return demonstrations
 
 
-def _check_reach(config: Configuration, demonstrations: Demonstrations, source: Path) -> None:
+def demonstrations_of(config: Configuration, run: Path) -> Demonstrations:
+    """Return the demonstrations that the run in a folder learned from.
+
+    Raises:
+        BadInputError: the file is missing or damaged.
+    """
+    return read_hdf5(run / DEMONSTRATIONS) if config.derived is None else config.derived.training
+
+
+def held_out_of(config: Configuration) -> list[Array] | None:
+    """Return the held-out demonstrations, poses (N, 7) at the agent's step; None unless the task is made from some."""
+    if config.derived is None:
+        return None
+    aside = config.derived.held_out
+    return agent_steps(replace(config.derived.training, items=aside), config.task) if aside else []
+
+
+def _check_reach(config: Configuration, demonstrations: Demonstrations) -> None:
     for index, poses in enumerate(agent_steps(demonstrations, config.task)):
         for pose in poses:
             if not len(config.robot.solutions(pose)):
                 raise BadInputError(
-                    f"demos {source}: demonstration {index} must stay within the arm's reach, found"
+                    f"demos: demonstration {index} must stay within the arm's reach, found"
                     f" {np.round(pose[POSITION], 3).tolist()} m"
                 )
 
@@ -70,12 +88,14 @@ def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demon
     return generated.demonstrations, generated.redrawn
 
 
-def fitted_intent(config: Configuration, demonstrations: Demonstrations, folder: Path) -> tuple[StoredIntent, Fitted]:
+def fitted_intent(
+    config: Configuration, demonstrations: Demonstrations, folder: Path, fresh: Demonstrations | None = None
+) -> tuple[StoredIntent, Fitted]:
     """Fit the intent model, write ``intent.npz``, ``fit.json`` and ``fit.png`` and return both forms of it."""
     from koopdqn.plots.fit import plot_fit
 
     with console.stage("Fitting the intent", len(demonstrations)) as stage:
-        fitted = fit(demonstrations, config.task, config.intent, config.trust, lambda done: stage.advance())
+        fitted = fit(demonstrations, config.task, config.intent, config.trust, lambda done: stage.advance(), fresh)
     stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
     write_json(folder / "fit.json", fitted.report)
     plot_fit(folder / "fit.png", fitted, demonstrations, config.task)

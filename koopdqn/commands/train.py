@@ -1,5 +1,6 @@
 """``koopdqn train``: learn the path."""
 
+from contextlib import closing
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -7,23 +8,24 @@ from typing import Any
 from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
+from koopdqn.demonstrations.resample import mean_path
 from koopdqn.dqn.memory import check_memory
 from koopdqn.dqn.observation import size
 from koopdqn.dqn.policy import write_policy
 from koopdqn.environment.reward import IntentReward
-from koopdqn.feedback.journal import JournalledOracle
+from koopdqn.feedback.journal import JOURNAL, JournalledOracle
 from koopdqn.files import write_json
 from koopdqn.intent.fitting import agent_steps
 from koopdqn.result import CommandResult
 from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.training.events import EventLog
+from koopdqn.training.feedback import Budget
 from koopdqn.training.history import Check
 from koopdqn.training.schema import TrainReport
 from koopdqn.training.trainer import Trainer
 
 POLICY = "policy.safetensors"
 REPORT = "train.json"
-JOURNAL = "feedback.jsonl"
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -31,6 +33,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.plots.train import plot_training
 
     began = monotonic()
+    config.oracle.check()
     check_memory(config.agent, size(config.task))
     workcell = stages.open_scene(config)
     demonstrations = stages.demonstrations_for(config, workcell, folder)
@@ -38,25 +41,25 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by)
-    answered = 0 if checkpoint is None else int(checkpoint.about["state"]["counters"]["questions"])
+    answered = 0 if checkpoint is None else int(checkpoint.arrays["feedback/questions"])
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
-    oracle = JournalledOracle(config.oracle.open(config.task, config.inputs.seed), folder / JOURNAL, answered)
+    oracle = JournalledOracle(config.oracle.open(workcell, config.inputs.seed, folder), folder / JOURNAL, answered)
+    trajectories = agent_steps(demonstrations, config.task)
     trainer = Trainer(
         workcell,
-        IntentReward(config.task, intent.model, intent.trust, config.reward),
-        agent_steps(demonstrations, config.task),
+        IntentReward(config.task, intent.model, intent.trust, config.reward, mean_path(trajectories)),
+        trajectories,
         oracle,
         config.agent,
         config.train,
         config.inputs.seed,
+        config.feedback,
+        Budget(config.oracle.budget, config.oracle.when_spent),
     )
     if checkpoint is not None:
         trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
-    try:
-        _learn(trainer, folder, shaped_by, began - before)
-    finally:
-        oracle.close()
+    _learn(trainer, oracle, folder, shaped_by, began - before, bar=not config.oracle.shows_progress)
     seconds = before + monotonic() - began
     write_policy(folder / POLICY, trainer.best, config.agent.network, shaped_by)
     report = train_report(config, trainer, seconds, made_from)
@@ -67,9 +70,12 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     )
 
 
-def _learn(trainer: Trainer, folder: Path, shaped_by: dict[str, Any], began: float) -> None:
+def _learn(
+    trainer: Trainer, oracle: JournalledOracle, folder: Path, shaped_by: dict[str, Any], began: float, *, bar: bool
+) -> None:
     shown = 0
-    with console.stage("Learning") as stage, EventLog(folder, trainer) as events:
+    # Closed first, so that what is said at the end finds the terminal as it was.
+    with console.stage("Learning", bar=bar) as stage, EventLog(folder, trainer) as events, closing(oracle):
 
         def on_check(check: Check) -> None:
             save_checkpoint(folder, trainer, shaped_by, monotonic() - began)
@@ -78,8 +84,9 @@ def _learn(trainer: Trainer, folder: Path, shaped_by: dict[str, Any], began: flo
 
         def on_round() -> None:
             nonlocal shown
+            last = trainer.history.checks[-1] if trainer.history.checks else None
+            oracle.learning(_progress(trainer, last))
             if trainer.rounds % 10 == 0:
-                last = trainer.history.checks[-1] if trainer.history.checks else None
                 stage.advance(trainer.rounds - shown, _progress(trainer, last))
                 shown = trainer.rounds
 
@@ -107,8 +114,12 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "env_steps": trainer.env_steps,
         "updates": trainer.learner.updates,
         "oracle_queries": trainer.questions,
+        "budget_spent": trainer.feedback.spent,
+        "answered_instead": trainer.feedback.substituted,
+        "contradictions": trainer.feedback.memory.contradictions,
+        "rewards_recomputed": trainer.feedback.recomputed,
         "trusted_fraction": float(history.judged[1] / asked_or_trusted) if asked_or_trusted else None,
-        "reward_agreement": {**history.agreement(), "remembered": None},
+        "reward_agreement": history.agreement(),
         "rewards_given": history.counts(),
         "reward_per_episode": history.rewards,
         "steps_per_episode": history.lengths,
@@ -128,7 +139,6 @@ def _lines(report: dict[str, Any], folder: Path) -> list[str]:
     shown = ", ".join(
         f"{name} {'none given' if share is None else format(share, '.1%')}"
         for name, share in agreement.items()
-        if name != "remembered"
     )
     verdict = "learned" if report["learned"] else "NOT learned within the limits"
     return [

@@ -10,7 +10,7 @@ from typing import Final
 from koopdqn.config.messages import shown
 from koopdqn.errors import BadInputError
 
-PATH_KEYS: Final = ("out", "run", "demos", "intent_file")
+PATH_KEYS: Final = ("out", "run", "demos", "intent_file", "oracle.journal", "oracle.questions", "oracle.answers")
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
 _PLAIN_VALUE: Final = re.compile(r"[A-Za-z0-9_./-]*")
@@ -41,13 +41,18 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
+    - ``journal=FILE`` becomes ``oracle.journal=FILE``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
       after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone. Inputs that DIR keeps
-      a copy of are read from there, wherever the files first given are by now.
+      a copy of are read from there, wherever the files first given are by now. Where another oracle is
+      given, the recorded one's settings go.
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
       robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
+    - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
+    - ``import`` and ``export`` work on demonstrations of any kind: without ``task=`` theirs is the one that
+      demonstrations define.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -67,6 +72,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if command == "eval":
         named = bool(folders) and folders[-1] != "null"
         return _prepare_evaluation(prepared, folders[-1] if named else str(newest_trained_run()))
+    if command in ("import", "export") and "task" not in keys:
+        prepared = ["task=demonstrated", *prepared]
     if command != "train" or not folders or folders[-1] == "null":
         return Prepared([*prepared, f"command={command}"])
     if multirun:
@@ -77,6 +84,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     copied = [key for key, name in _COPIES.items() if (Path(folder) / name).is_file()]
     recorded = [item for item in _recorded(folder, command) if _key(item) not in copied]
     given = {_name(override) for override in prepared}
+    if "oracle" in given:
+        # Who answers may change within a run; the settings were those of who answered before.
+        recorded = [item for item in recorded if not _key(item).startswith("oracle.")]
     merged = [
         *(override for override in recorded if _name(override) not in given),
         *prepared,
@@ -115,7 +125,9 @@ def _prepare_one(override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
-    if name in PATH_KEYS:
+    if name == "journal":
+        name = "oracle.journal"
+    if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
 
@@ -123,6 +135,10 @@ def _prepare_one(override: str) -> str:
 def _is_override(text: str) -> bool:
     name, equals, _ = text.partition("=")
     return text.startswith("~") or bool(equals and name.strip("+ "))
+
+
+def _is_list(value: str) -> bool:
+    return value.startswith("[") and value.endswith("]") and not Path(value).exists()
 
 
 def _is_path(value: str) -> bool:

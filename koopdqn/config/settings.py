@@ -41,6 +41,13 @@ def _to_path(value: object) -> object:
     return value
 
 
+def _to_sources(value: object) -> object:
+    values = value if isinstance(value, list | tuple) else [value]
+    if not values or not all(isinstance(each, str) and each.strip() for each in values):
+        raise ValueError("must be a path or a glob, or a list of them in brackets")
+    return tuple(values)
+
+
 Positive = Annotated[float, Field(gt=0)]
 """A finite number above 0."""
 NonNegative = Annotated[float, Field(ge=0)]
@@ -55,6 +62,8 @@ Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
 PathText = Annotated[Path, BeforeValidator(_to_path)]
 """A path, written as a text that is not empty; it need not exist."""
+Sources = Annotated[tuple[str, ...], BeforeValidator(_to_sources)]
+"""Paths or globs, one as a text or several as a YAML list; they need not match anything."""
 Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 numbers", 2))]
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]

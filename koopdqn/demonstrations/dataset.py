@@ -92,16 +92,25 @@ class Demonstrations:
         task: the task's name.
         arm: the arm's name.
         items: the trajectories, at least one.
+        held_out: how many of them, the last ones, are kept for evaluation; nothing is learned from them.
+
+    Raises:
+        BadInputError: there is no trajectory, or none to learn from.
     """
 
     task: str
     arm: str
     items: Sequence[Demonstration]
+    held_out: int = 0
 
     def __post_init__(self) -> None:
         """Check that there is something."""
         if not self.items:
             raise BadInputError("there must be at least one demonstration, found none")
+        if not 0 <= self.held_out < len(self.items):
+            raise BadInputError(
+                f"held-out demonstrations must be fewer than the {len(self.items)} there are, found {self.held_out}"
+            )
 
     def __len__(self) -> int:
         """Return the number of demonstrations."""

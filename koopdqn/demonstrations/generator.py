@@ -17,9 +17,11 @@ from koopdqn.tasks.task import Task
 
 _HARMONICS = 3
 _SUBSTEPS = 4
-# Two people, or one person twice, differ by at least this share of twice the wander, so that no two
-# demonstrations of a set are nearly the same.
-_LEAST_DIFFERENCE = 0.6
+# Two people, or one person twice, differ by at least this share of twice the wander (Hausdorff distance), so that
+# no two demonstrations of a set are nearly the same.
+_LEAST_DIFFERENCE = 0.56
+# Shapes are smooth: every eighth point, 4 mm apart, tells them apart as well as all do.
+_COARSER = 8
 
 
 class DemonstrationSettings(Settings):
@@ -120,23 +122,30 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
 
 
 def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Array:
-    # Only what lies sideways of the path tells two demonstrations apart.
-    along = np.gradient(task.nominal_path.points, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
     for _ in range(1000):
         shape = wander(task, rng)
-        offsets = [shape - other for other in others]
-        apart = [np.linalg.norm(np.cross(offset, along), axis=1).max() for offset in offsets]
+        apart = [_hausdorff(task, shape, other) for other in others]
         if not apart or min(apart) >= _LEAST_DIFFERENCE * 2 * task.variation_m:
             return shape
     # A crowded set (many demonstrations) has no room for another that differs from all.
     return wander(task, rng)
 
 
+def _hausdorff(task: Task, shape: Array, other: Array) -> float:
+    from scipy.spatial.distance import directed_hausdorff
+
+    points = task.nominal_path.points[::_COARSER]
+    first, second = points + shape[::_COARSER], points + other[::_COARSER]
+    return float(max(directed_hausdorff(first, second)[0], directed_hausdorff(second, first)[0]))
+
+
 def _follow(task: Task, start: Array, shape: Array) -> Array:
-    law = task.demonstrator_on(task.nominal_path.displaced(shape))
+    # The wander lies on the person's own path from this start, however gently that comes back to the nominal one.
     limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
-    return law.finer(_SUBSTEPS).roll_out(start, limit)
+    path = task.demonstrator_on(task.nominal_path).finer(_SUBSTEPS).roll_out(start, limit)
+    arc = arc_lengths(path[:, pose.POSITION])
+    offset = at_arc_lengths(shape, np.linspace(0.0, arc[-1], len(shape)), arc)
+    return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
 
 
 def _paced(poses: Array, settings: DemonstrationSettings, rng: np.random.Generator) -> tuple[Array, Array]:

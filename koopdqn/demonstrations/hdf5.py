@@ -17,6 +17,7 @@ FORMAT_VERSION = 1
 _FRAME = "UR Base, flange (tool0)"
 _QUATERNION_ORDER = "wxyz"
 _UNITS = "m, s, rad"
+_LEARNED, _HELD_OUT = "mask/train", "mask/valid"
 _ASSUMED = {"frame": _FRAME, "quaternion_order": _QUATERNION_ORDER, "units": _UNITS}
 
 
@@ -41,6 +42,12 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
             observations.create_dataset("eef_quat", data=item.poses[:, 3:])
             if item.joints is not None:
                 observations.create_dataset("joint_pos", data=item.joints)
+        if demonstrations.held_out:
+            # robomimic's own way to say which demonstrations are for what
+            names = [f"demo_{index}" for index in range(len(demonstrations))]
+            learned = len(names) - demonstrations.held_out
+            file.create_dataset(_LEARNED, data=np.array(names[:learned], dtype="S"))
+            file.create_dataset(_HELD_OUT, data=np.array(names[learned:], dtype="S"))
     with atomic_path(path) as temporary:
         temporary.write_bytes(image.getvalue())
 
@@ -97,7 +104,15 @@ def _read(file: h5py.File) -> Demonstrations:
             items.append(Demonstration(np.asarray(group["t"]), np.hstack([position, quaternion]), joints))
         except BadInputError as error:
             raise BadInputError(f"{name}: {error}") from error
-    return Demonstrations(str(about["env_name"]), str(about.get("arm", "unknown")), items)
+    return Demonstrations(str(about["env_name"]), str(about.get("arm", "unknown")), items, _held_out(file, names))
+
+
+def _held_out(file: h5py.File, names: list[str]) -> int:
+    """Return how many demonstrations the file marks as held out; 0 where they are not the last ones."""
+    if _HELD_OUT not in file:
+        return 0
+    marked = {bytes(name).decode() for name in np.asarray(file[_HELD_OUT])}
+    return len(marked) if marked == set(names[len(names) - len(marked) :]) and len(marked) < len(names) else 0
 
 
 def _read_env_args(text: Any) -> dict[str, Any]:

@@ -4,7 +4,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.path import arc_lengths, at_arc_lengths
+from koopdqn.tasks.path import SmoothPath, arc_lengths, at_arc_lengths
 
 
 def to_step(poses: Array, step: float, turn: float) -> Array:
@@ -64,6 +64,13 @@ def between(a: Array, b: Array, share: float) -> Array:
     position = a[pose.POSITION] + share * (b[pose.POSITION] - a[pose.POSITION])
     angle = share * float(pose.rotation_distance(a, b))
     return pose.make(position, pose.turned_toward(a[pose.QUATERNION], b[pose.QUATERNION], angle))
+
+
+def mean_path(trajectories: list[Array]) -> SmoothPath:
+    """Return the mean path of pose trajectories (N, 7), aligned by their share of path travelled."""
+    count = max(len(trajectory) for trajectory in trajectories)
+    aligned = [to_count(trajectory, count)[:, pose.POSITION] for trajectory in trajectories]
+    return SmoothPath.along(np.mean(aligned, axis=0))
 
 
 def to_count(poses: Array, count: int) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from koopdqn.artifact import Artifact, described, read_artifact, write_artifact
+from koopdqn.artifact import Artifact, check_task, described, read_artifact, write_artifact
 from koopdqn.config.settings import validate
 from koopdqn.dqn.learner import load_arrays
 from koopdqn.dqn.network import QNetwork
@@ -53,14 +53,7 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
     """
     artifact = read_artifact(path, KIND)
     about = dict(artifact.about)
-    found = about.get("task")
-    if found != described(task):
-        name = found.get("name") if isinstance(found, dict) else found
-        differing = sorted(key for key, value in described(task).items() if not _same(found, key, value))
-        raise BadInputError(
-            f"policy {path} must be of task {task.name} with the present settings, found task {name}"
-            f" (differing: {', '.join(differing)})"
-        )
+    check_task(f"policy {path}", about.get("task"), task)
     node = {key: value for key, value in about["network"].items() if key != "target"}
     settings = validate(node, NetworkSettings, "policy.network")
     network = QNetwork(size(task), settings, np.random.default_rng(0))
@@ -71,7 +64,3 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
         found = " ".join(str(error).split())
         raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {found}") from error
     return Policy(network, task), about
-
-
-def _same(found: Any, key: str, value: Any) -> bool:
-    return isinstance(found, dict) and found.get(key) == value

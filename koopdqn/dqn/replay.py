@@ -18,6 +18,10 @@ class Transitions:
         terminated: (N,) whether the goal was reached.
         truncated: (N,) whether the episode was cut there; the value beyond still counts.
         undone: (N,) whether the action was wrong and stepped back from.
+        poses: (N, 7) before the actions.
+        steps: (N,) steps of the episode before them.
+        sources: (N,) where the rewards came from (:data:`koopdqn.environment.reward.SOURCES`).
+        answers: (N,) number of the answer that the reward rests on, or −1.
     """
 
     observations: NDArray[np.float32]
@@ -27,9 +31,13 @@ class Transitions:
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     undone: NDArray[np.bool_]
+    poses: NDArray[np.float64]
+    steps: NDArray[np.int64]
+    sources: NDArray[np.int64]
+    answers: NDArray[np.int64]
 
 
-FIELDS = ("observations", "actions", "rewards", "following", "terminated", "truncated", "undone")
+FIELDS = tuple(Transitions.__dataclass_fields__)
 
 
 class ReplayBuffer:
@@ -52,6 +60,10 @@ class ReplayBuffer:
             "terminated": np.zeros(capacity, np.bool_),
             "truncated": np.zeros(capacity, np.bool_),
             "undone": np.zeros(capacity, np.bool_),
+            "poses": np.zeros((capacity, 7), np.float64),
+            "steps": np.zeros(capacity, np.int64),
+            "sources": np.zeros(capacity, np.int64),
+            "answers": np.zeros(capacity, np.int64),
         }
 
     def __len__(self) -> int:
@@ -70,6 +82,24 @@ class ReplayBuffer:
         """Return ``count`` transitions drawn evenly, with replacement."""
         index = rng.integers(len(self), size=count)
         return Transitions(**{name: self._arrays[name][index] for name in FIELDS})
+
+    def held(self) -> Transitions:
+        """Return a copy of everything held."""
+        return Transitions(**{name: values[: len(self)].copy() for name, values in self._arrays.items()})
+
+    def revalue(self, rows: np.ndarray, rewards: NDArray[np.float32], at_goal: np.ndarray) -> None:
+        """Give transitions in ``rows`` (M,) other rewards (M,); ``at_goal`` (M,) says which reach the goal."""
+        self._arrays["rewards"][rows] = rewards
+        self._arrays["terminated"][rows] = at_goal & (rewards >= 0)
+
+    def remove(self, mask: np.ndarray) -> None:
+        """Remove the transitions (len,) that a mask says, keeping the order of the others."""
+        first = self.added % self.capacity if self.added > self.capacity else 0
+        order = np.roll(np.arange(len(self)), -first)
+        kept = order[~mask[order]]
+        for values in self._arrays.values():
+            values[: len(kept)] = values[kept]
+        self.added = len(kept)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return everything held, as arrays."""

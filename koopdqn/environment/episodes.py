@@ -25,7 +25,7 @@ class EpisodeBatch:
         numbers: (N,) which episode each is, counted from 0 over the whole run.
         rewards: (N,) reward gathered.
         tried: (N, 10) wrong actions already tried from the present pose.
-        fresh: (N,) whether nothing was tried from the present pose yet.
+        stored: (N, 10) actions from the present pose whose experience is stored already.
         exploring: (N,) whether it is a short episode for exploring.
     """
 
@@ -36,7 +36,7 @@ class EpisodeBatch:
     numbers: np.ndarray
     rewards: Array
     tried: np.ndarray
-    fresh: np.ndarray
+    stored: np.ndarray
     exploring: np.ndarray
 
     @classmethod
@@ -50,7 +50,7 @@ class EpisodeBatch:
             numbers=np.zeros(count, dtype=np.int64),
             rewards=np.zeros(count),
             tried=np.zeros((count, COUNT), dtype=bool),
-            fresh=np.ones(count, dtype=bool),
+            stored=np.zeros((count, COUNT), dtype=bool),
             exploring=np.zeros(count, dtype=bool),
         )
 
@@ -64,7 +64,7 @@ class EpisodeBatch:
         self.joints[index] = joints
         self.steps[index] += 1
         self.tried[index] = False
-        self.fresh[index] = True
+        self.stored[index] = False
 
     def state(self) -> dict[str, np.ndarray]:
         """Return everything held, as arrays."""
@@ -122,7 +122,7 @@ class StartSampler:
         batch.numbers[index] = number
         batch.rewards[index] = 0.0
         batch.tried[index] = False
-        batch.fresh[index] = True
+        batch.stored[index] = False
 
     def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Motion]:
         for _ in range(_MOST_DRAWS):

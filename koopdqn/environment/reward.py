@@ -13,13 +13,15 @@ from koopdqn.environment.compare import excess
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
+from koopdqn.tasks.path import SmoothPath
 from koopdqn.tasks.task import Task
 
 # Where a reward came from.
 RULE: Final = 0
 TRUSTED: Final = 1
 ASKED: Final = 2
-SOURCES: Final = ("rule", "trusted", "asked")
+REMEMBERED: Final = 3
+SOURCES: Final = ("rule", "trusted", "asked", "remembered")
 
 # Below this a motion is none: 1e-9 m or rad is far under any tolerance and over rounding.
 _NO_MOTION = 1e-9
@@ -39,6 +41,15 @@ class RewardSettings(Settings):
         lt=1,
         description="share of the tolerance by which a comparison must be clear to be trusted; 0 trusts all",
     )
+    centring: float = Field(
+        ge=0,
+        le=1,
+        description="share of a right action's reward that says how much nearer it comes to the demonstrations' mean"
+        " path rather than to the prediction; 0 for none (the paper)",
+    )
+    centring_within_m: float = Field(
+        gt=0, le=10, description="distance from that path over which centring fades, a standard deviation [m]"
+    )
     size: float = Field(gt=0, le=1e3, description="largest absolute reward of a step")
     goal: float = Field(ge=0, le=1e3, description="added when a right action reaches the goal")
 
@@ -53,7 +64,10 @@ class Judgement:
         reward: (N, 10) the reward by rule or intent model; where ``known`` is false, the model's untrusted opinion.
         known: (N, 10) whether the reward stands without asking.
         source: (N, 10) :data:`RULE` or :data:`TRUSTED` where known, else :data:`ASKED`.
+        margin: (N, 10) how far inside its tolerance the comparison with the prediction is, trusted or not, as a
+            share of the tolerance; negative outside, −∞ where a rule forbids the action.
         at_goal: (N, 10) whether the reached pose counts as the goal.
+        answer: (N, 10) number of the answer that the reward rests on, or −1.
     """
 
     reached: Array
@@ -61,7 +75,9 @@ class Judgement:
     reward: Array
     known: np.ndarray
     source: np.ndarray
+    margin: Array
     at_goal: np.ndarray
+    answer: np.ndarray
 
 
 class IntentReward:
@@ -72,14 +88,18 @@ class IntentReward:
         model: the intent model.
         trust: its trust domain.
         settings: how a comparison becomes a reward.
+        path: the demonstrations' mean path.
     """
 
-    def __init__(self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings) -> None:
+    def __init__(
+        self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings, path: SmoothPath
+    ) -> None:
         """Make the reward function."""
         self.task = task
         self.model = model
         self.trust = trust
         self.settings = settings
+        self.path = path
         self._illegal = ~legal_actions(task)
 
     def predicted(self, poses: Array) -> Array:
@@ -87,6 +107,19 @@ class IntentReward:
         if self.settings.prediction == "raw":
             return self.model.predict(poses)
         return self.model.preferred(poses, self.task.step_m)
+
+    def extended(self, yeses: Array, radii: Array, before: Array, after: Array) -> "IntentReward":
+        """Return the reward function with a model and a trust domain extended by answers.
+
+        Args:
+            yeses: poses (M, 7) around which the model is now trusted.
+            radii: (M,) [m].
+            before: poses (D, 7) at which the model did not expect the answer.
+            after: poses (D, 7) that the person wants reached from them.
+        """
+        model = self.model if not len(before) else self.model.extended(before, after)
+        trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
+        return IntentReward(self.task, model, trust, self.settings, self.path)
 
     def value(self, right: bool, at_goal: bool) -> float:
         """Return the reward of an answer."""
@@ -99,6 +132,9 @@ class IntentReward:
         predicted = self.predicted(poses)
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
+        if self.settings.centring > 0:
+            share, nearing = self._centring(poses, reached)
+            reward = np.where(margin >= 0, (1.0 - share) * reward + share * nearing, reward)
         trusted = self._trusted(poses, reached, steps) & self._certain(margin)
         unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
             pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
@@ -108,7 +144,18 @@ class IntentReward:
         at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(count, COUNT)
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
         source = np.where(wrong, RULE, np.where(trusted, TRUSTED, ASKED))
-        return Judgement(reached, predicted, reward, source != ASKED, source, at_goal)
+        margin = np.where(wrong, -np.inf, margin)
+        return Judgement(reached, predicted, reward, source != ASKED, source, margin, at_goal, np.full_like(source, -1))
+
+    def _centring(self, poses: Array, reached: Array) -> tuple[Array, Array]:
+        """Return by how much coming nearer to the mean path counts (N, 1), and from 0 to 1 how much each does (N, 10).
+
+        It counts near the path only: from afar a person comes back to it in a way of their own.
+        """
+        aside = self.path.distance(poses[:, pose.POSITION])[:, None]
+        after = self.path.distance(reached[..., pose.POSITION].reshape(-1, 3)).reshape(reached.shape[:2])
+        share = self.settings.centring * np.exp(-0.5 * (aside / self.settings.centring_within_m) ** 2)
+        return share, 0.5 + 0.5 * np.clip((aside - after) / self.task.step_m, -1.0, 1.0)
 
     def _certain(self, margin: Array) -> np.ndarray:
         # A comparison that a small error of the model would turn over is no knowledge; but some action is

@@ -46,6 +46,12 @@ def deviations(paths: list[Array], references: list[Array]) -> Deviations:
     return Deviations(pose.position_distance(mine, theirs), lateral, pose.rotation_distance(mine, theirs), frechet)
 
 
+def hausdorff_mm(path: Array, reference: Array) -> float:
+    """Return the Hausdorff distance [mm] of two paths (T, 7) and (R, 7): the farthest any point is from the other."""
+    there, back = (deviations([one], [other]).lateral for one, other in ((path, reference), (reference, path)))
+    return float(max(there.max(), back.max())) * 1e3
+
+
 def resampled(path: Array) -> Array:
     """Return a path (T, 7) at :data:`SAMPLES` equal shares of its arc length, or of its turn if it does not move."""
     path = np.array(path)

@@ -8,6 +8,7 @@ import numpy as np
 
 from koopdqn.evaluation.baselines import greedy, nearest_demonstration, straight_line
 from koopdqn.evaluation.dynamics import execute, summarise
+from koopdqn.evaluation.holdout import measure_holdout
 from koopdqn.evaluation.metrics import measure
 from koopdqn.evaluation.references import reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, MethodReport
@@ -32,12 +33,15 @@ class Evaluation:
 
     Attributes:
         report: the content of ``eval.json``, as :class:`EvaluationReport` defines it; JSON values only.
-        episodes: the policy's.
-        references: the demonstrator's own path (T, 7) from each episode's start.
+        episodes: the policy's, from drawn starts.
+        compared: the policy's episodes that have a reference: the same, or, where held-out demonstrations are the
+            references, those from their starts.
+        references: (T, 7) for each of them: the demonstrator's own path, or the held-out demonstration.
     """
 
     report: dict[str, Any]
     episodes: list[Episode]
+    compared: list[Episode]
     references: list[Array]
 
 
@@ -56,6 +60,7 @@ def evaluate(
     settings: EvaluationSettings,
     step_limit: int,
     advance: Callable[[int], None] = lambda units: None,
+    held_out: list[Array] | None = None,
 ) -> Evaluation:
     """Measure a policy on held-out starts. The policy alone acts: no intent model, oracle, mask or look-ahead.
 
@@ -68,6 +73,8 @@ def evaluate(
         settings: on which starts, and what is measured beside.
         step_limit: steps after which an episode fails.
         advance: told the units of work just done, of :func:`work_units`.
+        held_out: for a task made from demonstrations, those kept for evaluation, poses (N, 7) at the agent's step;
+            they are then the only references, and drawn starts count for success. None otherwise.
 
     Raises:
         BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
@@ -75,7 +82,7 @@ def evaluate(
     task = workcell.task
     rng = np.random.default_rng([settings.seed, _STREAM])
     starts, joints, redrawn = workcell.reachability.draw_starts(task, rng, settings.episodes)
-    references = reference_paths(task, starts, step_limit)
+    references = reference_paths(task, starts, step_limit) if held_out is None else None
     episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
     advance(len(episodes))
 
@@ -92,6 +99,11 @@ def evaluate(
         )
     dynamics = _dynamics(workcell, episodes, settings, advance) if settings.dynamics else None
     policy_report = measure(episodes, references, task, trust, workcell.arm.step_seconds)
+    holdout = None
+    if held_out:
+        holdout = measure_holdout(
+            workcell, policy, model, trust, trajectories, held_out, step_limit, baselines=settings.baselines
+        )
     report = EvaluationReport(
         task=task.name,
         episodes=settings.episodes,
@@ -100,9 +112,11 @@ def evaluate(
         step_limit=step_limit,
         dynamics=dynamics,
         baselines=baselines,
+        holdout=holdout.report if holdout else None,
         **dict(policy_report),
     )
-    return Evaluation(report.model_dump(mode="json"), episodes, references)
+    compared = episodes if held_out is None else holdout.episodes if holdout else []
+    return Evaluation(report.model_dump(mode="json"), episodes, compared, held_out or references or [])
 
 
 def _dynamics(
@@ -134,6 +148,29 @@ def table(report: dict[str, Any]) -> "Table":
     found.add_column("failures")
     for name, method in {"policy": report, **(report["baselines"] or {})}.items():
         found.add_row(name.replace("_", " "), *_cells(method))
+    return found
+
+
+def holdout_table(report: dict[str, Any]) -> "Table":
+    """Return the section ``holdout`` of ``eval.json`` as a table of one row per method, the policy first."""
+    from rich import box
+    from rich.table import Table
+
+    holdout = report["holdout"]
+    found = Table(
+        title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
+        caption="Hausdorff: the farthest from the held-out demonstration, median and largest",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+    )
+    found.add_column("method", no_wrap=True)
+    for heading in ("success", "Hausdorff", "deviation", "sideways"):
+        found.add_column(heading, justify="right", no_wrap=True)
+    found.add_column("failures")
+    for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
+        success, *rest = _cells(method)
+        apart = np.array(holdout["hausdorff_mm"][name])
+        found.add_row(name.replace("_", " "), success, f"{np.median(apart):.1f} / {apart.max():.1f} mm", *rest)
     return found
 
 

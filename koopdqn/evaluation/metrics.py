@@ -20,7 +20,7 @@ _OWN = ("blade_angle_final_deg", "fraction_until_safe", "min_blade_distance_m", 
 
 
 def measure(
-    episodes: list[Episode], references: list[Array], task: Task, trust: TrustDomain, step_seconds: float
+    episodes: list[Episode], references: list[Array] | None, task: Task, trust: TrustDomain, step_seconds: float
 ) -> MethodReport:
     """Return what is measured of a method's episodes; :class:`MethodReport` defines every quantity.
 
@@ -29,13 +29,17 @@ def measure(
 
     Args:
         episodes: at least one.
-        references: the demonstrator's own path (T, 7) from each episode's start.
+        references: the demonstrator's own path (T, 7) from each episode's start; None where there is none, and
+            then no deviation.
         task: gives the goal.
         trust: the tube.
         step_seconds: how long one step takes [s].
     """
+    if references is not None and len(references) != len(episodes):
+        raise ValueError(f"there must be one reference for each of {len(episodes)} episodes, found {len(references)}")
     outcomes = Counter(episode.outcome for episode in episodes)
-    moved = [(e.poses, reference) for e, reference in zip(episodes, references, strict=True) if e.steps]
+    paths = [episode.poses for episode in episodes if episode.steps]
+    moved = [(e.poses, reference) for e, reference in zip(episodes, references or (), strict=False) if e.steps]
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
     matched, lateral = (_spread(values * _MILLIMETRES) for values in (apart.matched, apart.lateral))
     ends = np.array([episode.poses[-1] for episode in episodes])
@@ -43,18 +47,18 @@ def measure(
     return MethodReport(
         success_rate=outcomes[SUCCESS] / len(episodes),
         success_interval_95=[low, high],
-        measured_episodes=len(moved),
+        measured_episodes=len(paths),
         path_deviation_mm=PathDeviation(**matched, frechet=_mean(apart.frechet * _MILLIMETRES)),
         lateral_deviation_mm=LateralDeviation(**lateral),
         rotation_deviation_deg=summary(np.degrees(apart.rotation)),
-        tube_fraction=_tube_fraction([path for path, _ in moved], trust),
+        tube_fraction=_tube_fraction(paths, trust),
         final_position_error_mm=summary(pose.position_distance(ends, task.goal) * _MILLIMETRES),
         final_rotation_error_deg=summary(np.degrees(pose.rotation_distance(ends, task.goal))),
         path_length_ratio=_length_ratio(moved),
         steps=summary(np.array([episode.steps for episode in episodes], dtype=float)),
         failures={cause: outcomes[cause] for cause in FAILURES},
-        turn=turn_report([path for path, _ in moved], task) if task.orientation == "learned" else None,
-        **_own_measures([path for path, _ in moved], task, step_seconds),
+        turn=turn_report(paths, task) if task.orientation == "learned" else None,
+        **_own_measures(paths, task, step_seconds),
     )
 
 

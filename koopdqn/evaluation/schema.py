@@ -129,8 +129,31 @@ class Baselines(ReportModel):
     )
 
 
+class HoldoutReport(ReportModel):
+    """What a policy does from the starts of H demonstrations that nothing was learned from.
+
+    The reference of an episode is the held-out demonstration itself, less its idle ends and sensor noise.
+    """
+
+    demonstrations: Count = Field(description="number H of held-out demonstrations, one episode from the start of each")
+    outcomes: list[Name] = Field(description='(H,) what became of each episode: "success" or the cause of its failure')
+    hausdorff_mm: dict[str, list[NonNegative]] = Field(
+        description="by method, the policy first: (H,) the farthest that any point of an episode's path or of its"
+        " demonstration is from the other"
+    )
+    end_gap_mm: list[NonNegative] = Field(
+        description="(H,) distance of each demonstration's own end from the task's goal, the mean of those learned from"
+    )
+    policy: MethodReport = Field(description="the policy from these starts")
+    baselines: Baselines | None = Field(description="what comes without learning, from these starts")
+
+
 class EvaluationReport(MethodReport):
-    """What an evaluation finds. The keys of a method, at the top level, are the policy's."""
+    """What an evaluation finds. The keys of a method, at the top level, are the policy's.
+
+    A task made from demonstrations has no demonstrator's own path: deviations from the reference are then null, and
+    those from held-out demonstrations stand under ``holdout``.
+    """
 
     task: Name = Field(description="name of the task")
     episodes: Count = Field(description="held-out starts")
@@ -141,6 +164,10 @@ class EvaluationReport(MethodReport):
     step_limit: Count = Field(description="steps after which an episode of the policy or of greedy fails")
     dynamics: DynamicsReport | None = Field(description="execution in dynamics; null if not asked for")
     baselines: Baselines | None = Field(description="what comes without learning; null if not asked for")
+    holdout: HoldoutReport | None = Field(
+        description="from the starts of held-out demonstrations; null unless the task is made from demonstrations and"
+        " some are held out"
+    )
 
 
 class EvaluationFile(EvaluationReport):

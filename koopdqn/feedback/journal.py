@@ -2,70 +2,64 @@
 
 import json
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from koopdqn.errors import BadInputError
-from koopdqn.feedback.oracle import Answer, Oracle, Question
+from koopdqn.feedback.oracle import Answer, Earlier, Oracle, Question
+from koopdqn.feedback.records import Record, Records, read_records
+from koopdqn.feedback.schema import AnswerLine, Line, UndoLine
+
+JOURNAL = "feedback.jsonl"
+"""Name of the journal in a run folder."""
 
 
-def entry(number: int, question: Question, answer: Answer) -> dict[str, Any]:
-    """Return an answer as its journal line's JSON object."""
-    return {
-        "kind": "answer",
-        "number": number,
-        "episode": question.episode,
-        "step": question.step,
-        "pose": question.pose.tolist(),
-        "action": question.action,
-        "reached": question.reached.tolist(),
-        "predicted": question.predicted.tolist(),
-        "reason": question.reason,
-        "right": answer.right,
-        "source": answer.source,
-        "seconds": answer.seconds,
-    }
+def answer_line(number: int, question: Question, answer: Answer) -> AnswerLine:
+    """Return an answer as its journal line."""
+    return AnswerLine(
+        kind="answer",
+        number=number,
+        episode=question.episode,
+        step=question.step,
+        pose=question.pose.tolist(),
+        action=question.action,
+        reached=question.reached.tolist(),
+        predicted=question.predicted.tolist(),
+        reason=question.reason,
+        right=answer.right,
+        better=answer.better,
+        source=answer.source,
+        seconds=answer.seconds,
+    )
 
 
-def read_journal(path: Path) -> list[dict[str, Any]]:
-    """Return the entries of a journal; a last line cut off by a crash is left out.
+class JournalFile:
+    """A journal open for appending. Close it."""
 
-    Raises:
-        BadInputError: a line before the last is no JSON object, or an answer that lacks a field.
-    """
-    entries = []
-    # What follows the last line's end was torn off, even where it reads as JSON.
-    *lines, _ = path.read_bytes().split(b"\n")
-    for number, line in enumerate(lines, start=1):
-        if not line:
-            continue
+    def __init__(self, path: Path) -> None:
+        """Open a journal, or begin one; a last line cut off by a crash goes.
+
+        Raises:
+            BadInputError: the journal cannot be written.
+        """
         try:
-            item = json.loads(line)
-            if not isinstance(item, dict):
-                raise ValueError("no JSON object")
-            if item.get("kind") == "answer" and not item.keys() >= {"right", "source", "seconds"}:
-                raise ValueError("an answer without right, source or seconds")
-        except ValueError as error:
-            raise BadInputError(f"journal {path}: line {number} must be a JSON object, found: {error}") from error
-        entries.append(item)
-    return entries
+            _cut_torn_line(path)
+            self._file = path.open("a", encoding="utf-8")
+        except OSError as error:
+            raise BadInputError(f"journal {path} must be writable, the system says: {error.strerror}") from error
+
+    def append(self, line: Line) -> None:
+        """Append a line; it is on disk when this returns."""
+        self._file.write(json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
-@dataclass(frozen=True)
-class _Recorded:
-    number: int
-    fields: dict[str, Any]
-
-    def fits(self, question: Question) -> bool:
-        same = all(self.fields.get(key) == getattr(question, key) for key in ("episode", "step", "action"))
-        return same and np.array_equal(self.fields.get("pose", ()), question.pose)
-
-
-class JournalledOracle:
+class JournalledOracle(Oracle):
     """An oracle whose every answer is written down, and that gives written answers again instead of asking.
 
     A run that is continued asks, from its checkpoint on, the very questions it asked before; those already
@@ -79,54 +73,107 @@ class JournalledOracle:
         """Open the journal at ``path`` for an oracle; the first ``position`` answers are in the checkpoint already.
 
         Raises:
-            BadInputError: the journal cannot be written, is damaged, or is shorter than the checkpoint says.
+            BadInputError: the journal cannot be written, is damaged, is shorter than the checkpoint says, or
+                was changed where the run has learned from it.
         """
         self.questions = position
         self._oracle = oracle
         self._path = path
-        written = [item for item in read_journal(path) if item.get("kind") == "answer"] if path.exists() else []
-        if len(written) < position:
-            raise BadInputError(f"journal {path}: must hold the {position} answers of the run, found {len(written)}")
-        self._again: Iterator[_Recorded] = iter(
-            [_Recorded(number, fields) for number, fields in enumerate(written) if number >= position]
-        )
-        try:
-            _cut_torn_line(path)
-            self._file = path.open("a", encoding="utf-8")
-        except OSError as error:
-            raise BadInputError(f"journal {path} must be writable, the system says: {error.strerror}") from error
+        self._progress = ""
+        self._records = read_records(path) if path.exists() else Records()
+        _check(path, self._records, position)
+        self._file = JournalFile(path)
 
     def answer(self, question: Question) -> Answer:
         """Return the written answer, or ask, write the answer down and return it.
 
         Raises:
-            BadInputError: the journal does not fit the run.
+            BadInputError: the journal does not fit the run, or the oracle's answer is none.
+            PauseRequested: who answers wants to go on another time.
         """
-        recorded = next(self._again, None)
-        if recorded is None:
-            answer = self._oracle.answer(question)
-            self._write(entry(self.questions, question, answer))
-        elif recorded.fits(question):
-            answer = Answer(recorded.fields["right"], recorded.fields["source"], recorded.fields["seconds"])
+        if self.questions < len(self._records.items):
+            answer = written_answer(self._records.items[self.questions], question, self._path)
         else:
-            raise BadInputError(
-                f"journal {self._path}: answer {recorded.number} must be to the question the run asks (episode"
-                f" {question.episode}, step {question.step}, action {question.action}), found episode"
-                f" {recorded.fields.get('episode')}, step {recorded.fields.get('step')},"
-                f" action {recorded.fields.get('action')}"
-            )
+            progress = question.progress or self._progress
+            answer = self._asked(replace(question, number=self.questions, progress=progress))
         self.questions += 1
         return answer
+
+    def learning(self, progress: str) -> None:
+        """Pass on how the learning goes, and keep it for the next question."""
+        self._progress = progress
+        self._oracle.learning(progress)
 
     def close(self) -> None:
         """Close the journal and the oracle."""
         self._file.close()
         self._oracle.close()
 
-    def _write(self, item: dict[str, Any]) -> None:
-        self._file.write(json.dumps(item, sort_keys=True, allow_nan=False) + "\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+    def _asked(self, question: Question) -> Answer:
+        while True:
+            earlier = tuple(item.earlier for item in self._records.withdrawable)
+            answer = self._oracle.answer(replace(question, earlier=earlier))
+            _check_answer(answer, len(earlier), question)
+            withdrawn = earlier[::-1][: answer.undo]
+            for item in withdrawn:
+                self._file.append(_undo_line(item, question))
+            self._records = _with_withdrawn(self._records, withdrawn)
+            if not answer.again:
+                break
+        line = answer_line(question.number, question, answer)
+        self._file.append(line)
+        record = Record(line, self._records.pending)
+        self._records = Records((*self._records.items, record))
+        return record.answer
+
+
+def written_answer(record: Record, question: Question, path: Path) -> Answer:
+    """Return a written answer again.
+
+    Raises:
+        BadInputError: it is the answer to another question.
+    """
+    if not record.fits(question):
+        line = record.line
+        raise BadInputError(
+            f"journal {path}: answer {line.number} must be to the question the run asks (episode {question.episode},"
+            f" step {question.step}, action {question.action}), found episode {line.episode}, step {line.step}, action"
+            f" {line.action}; config, seed and every earlier answer must be those of the journal"
+        )
+    return record.answer
+
+
+def _check(path: Path, records: Records, position: int) -> None:
+    if len(records.items) < position:
+        raise BadInputError(f"journal {path}: must hold the {position} answers of the run, found {len(records.items)}")
+    late = [item.line.number for item in records.items[:position] if item.learned]
+    if late:
+        raise BadInputError(
+            f"journal {path}: answer {late[0]} must be the one the run has learned from, found it edited afterwards;"
+            " train anew with oracle=replay and this journal"
+        )
+
+
+def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None:
+    if not 0 <= answer.undo <= withdrawable:
+        raise BadInputError(f"undo: must be 0 to {withdrawable}, the answers that stand, found {answer.undo}")
+    if answer.better is not None and (answer.right is not True) == (answer.better == question.action):
+        raise BadInputError(
+            f"right: must be true exactly if the better action is the one asked about ({question.action}), found"
+            f" {answer.right} with better action {answer.better}"
+        )
+
+
+def _undo_line(item: Earlier, question: Question) -> UndoLine:
+    return UndoLine(
+        kind="undo", number=item.number, before=question.number, episode=question.episode, step=question.step
+    )
+
+
+def _with_withdrawn(records: Records, withdrawn: tuple[Earlier, ...]) -> Records:
+    numbers = {item.number for item in withdrawn}
+    items = (replace(item, withdrawn=True) if item.line.number in numbers else item for item in records.items)
+    return Records(tuple(items), records.pending + len(withdrawn))
 
 
 def _cut_torn_line(path: Path) -> None:

@@ -1,6 +1,8 @@
 """The scripted oracle: the task's own demonstrator answers, as an expert who is always right (§1)."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,17 +11,20 @@ from koopdqn.feedback.oracle import Answer, Oracle, OracleSettings, Question
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
+if TYPE_CHECKING:
+    from koopdqn.workcell import Workcell
+
 
 class ScriptedOracleSettings(OracleSettings):
-    """Settings of the scripted oracle: none but its name."""
+    """Settings of the scripted oracle: none of its own."""
 
-    def open(self, task: Task, seed: int) -> Oracle:
-        """Return the oracle that answers from the task's demonstrator; it has no chance, so the seed is not used."""
-        return ScriptedOracle(task, self.name)
+    def open(self, workcell: "Workcell", seed: int, folder: Path) -> Oracle:
+        """Return the oracle that answers from the task's demonstrator; it has no chance and keeps nothing."""
+        return ScriptedOracle(workcell.task, self.name)
 
 
 @dataclass(frozen=True)
-class ScriptedOracle:
+class ScriptedOracle(Oracle):
     """Says right if the reached pose is within tolerance of where the demonstrator would be.
 
     Attributes:
@@ -34,9 +39,6 @@ class ScriptedOracle:
         """Return the demonstrator's answer."""
         right = demonstrator_agrees(self.task, question.pose[None], question.reached[None])[0]
         return Answer(bool(right), self.name)
-
-    def close(self) -> None:
-        """Do nothing: a script holds nothing."""
 
 
 def demonstrator_agrees(task: Task, poses: Array, reached: Array) -> np.ndarray:

@@ -23,13 +23,42 @@ def koopman_matrix(before: Array, after: Array, ridge: float = 0.0) -> Array:
     K = I + (A − G)(G + λI)⁻¹, the least-squares solution drawn toward standing still rather than
     toward the origin, so that regularisation shortens no position.
     """
-    if ridge == 0.0:
-        solution, *_ = np.linalg.lstsq(before, after, rcond=None)
-        return np.asarray(solution.T)
-    count, size = before.shape
-    gram = before.T @ before / count
-    cross = after.T @ before / count
-    return np.asarray(np.eye(size) + np.linalg.solve(gram + ridge * np.eye(size), (cross - gram).T).T)
+    return koopman_rows(before, after, np.ones(len(before)), (ridge,))[0]
+
+
+def koopman_rows(before: Array, after: Array, weight: Array, ridges: tuple[float, ...]) -> list[Array]:
+    """Return the first R rows (R, D) of K for every ``ridge``, of weighted pairs (M, D) → the first R entries (M, R).
+
+    One step of the state needs its own rows only, and the sums over the pairs are the same for every ridge.
+    """
+    size, rows = before.shape[1], after.shape[1]
+    root = np.sqrt(weight)[:, None]
+    moments: tuple[Array, Array] | None = None
+    found = []
+    for ridge in ridges:
+        if ridge == 0.0:
+            solution, *_ = np.linalg.lstsq(before * root, after * root, rcond=None)
+            found.append(np.asarray(solution.T))
+            continue
+        if moments is None:
+            weighted = before * (weight / weight.sum())[:, None]
+            moments = weighted.T @ before, weighted.T @ (after - before[:, :rows])
+        gram, change = moments
+        found.append(np.eye(rows, size) + np.linalg.solve(gram + ridge * np.eye(size), change).T)
+    return found
+
+
+def within_radius(matrix: Array, radius: float) -> Array:
+    """Return K (D, D) with the eigenvalues beyond a radius drawn to it: the spectral constraint.
+
+    It keeps repeated linear steps from diverging; a radius below 1 lets them die out at the center.
+    """
+    values, vectors = np.linalg.eig(matrix)
+    size = np.abs(values)
+    if size.max() <= radius:
+        return matrix
+    scaled = values * np.minimum(1.0, radius / np.maximum(size, 1e-12))
+    return np.asarray(np.linalg.solve(vectors.T, (vectors * scaled).T).T.real)
 
 
 @dataclass(frozen=True)
@@ -42,7 +71,7 @@ class KoopmanModel:
         observables: the lift g.
         center: (d,) the state taken as origin.
         scale: the unit of the shifted state.
-        matrix: K (D, D).
+        matrix: K (D, D), or its first d rows.
     """
 
     observables: Observables
@@ -59,10 +88,29 @@ class KoopmanModel:
         center: Array,
         scale: float,
         ridge: float = 0.0,
+        weight: Array | None = None,
     ) -> "KoopmanModel":
-        """Return the model fitted to states (M, d) and their successors (M, d)."""
-        lifted, then = (observables.lift((states - center) / scale) for states in (before, after))
-        return cls(observables, center, scale, koopman_matrix(lifted, then, ridge))
+        """Return the model fitted to states (M, d) and their successors (M, d), which count ``weight`` (M,)."""
+        placed = observables.placed((before - center) / scale)
+        lifted, then = (placed.lift((states - center) / scale) for states in (before, after))
+        weight = np.ones(len(before)) if weight is None else weight
+        return cls(placed, center, scale, koopman_rows(lifted, then, weight, (ridge,))[0])
+
+    @classmethod
+    def one_step(
+        cls,
+        observables: Observables,
+        before: Array,
+        after: Array,
+        center: Array,
+        scale: float,
+        ridges: tuple[float, ...],
+        weight: Array,
+    ) -> "list[KoopmanModel]":
+        """Return for every ridge the model whose K holds the state's own rows (d, D) only: enough to predict."""
+        placed = observables.placed((before - center) / scale)
+        rows = koopman_rows(placed.lift((before - center) / scale), (after - center) / scale, weight, ridges)
+        return [cls(placed, center, scale, matrix) for matrix in rows]
 
     def lift(self, states: Array) -> Array:
         """Return the lifted states (N, D) of states (N, d)."""

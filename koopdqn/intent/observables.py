@@ -3,12 +3,14 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any
+from itertools import combinations_with_replacement
+from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from koopdqn.config.settings import Floats, Settings, load_settings
+from koopdqn import pose
+from koopdqn.config.settings import Floats, Interval, Settings, load_settings
 from koopdqn.pose import Array
 
 
@@ -31,13 +33,27 @@ class Observables(Settings, ABC):
     def features(self, states: Array) -> Array:
         """Return the nonlinear part (N, D − d) of the lift of states (N, d)."""
 
+    def placed(self, states: Array) -> "Observables":
+        """Return the observables with whatever they take from the states (M, d) that they are fitted to."""
+        return self
 
-def _to_observables(value: Any) -> Any:
-    return load_settings(value, Observables, "intent.observables") if isinstance(value, Mapping) else value
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return what :meth:`placed` took from the states."""
+        return {}
+
+    def restored(self, arrays: Mapping[str, np.ndarray]) -> "Observables":
+        """Return the observables whose :meth:`arrays` these are."""
+        return self
 
 
-AnyObservables = Annotated[Observables, BeforeValidator(_to_observables)]
+def _to_observables(where: str) -> BeforeValidator:
+    return BeforeValidator(lambda v: load_settings(v, Observables, where) if isinstance(v, Mapping) else v)
+
+
+AnyObservables = Annotated[Observables, _to_observables("intent.observables")]
 """Observables of any kind, as a field of settings."""
+RotationObservables = Annotated[Observables, _to_observables("intent.rotation.observables")]
+"""The same for the model of orientations."""
 
 
 class Affine(Observables):
@@ -57,27 +73,116 @@ class SecondOrder(Observables):
         return np.concatenate([states**2, states[:, first] * states[:, second]], axis=1)
 
 
+class Polynomial(Observables):
+    """All monomials of the state from degree 2 to ``degree``; with the goal as origin they vanish there."""
+
+    degree: int = Field(ge=1, le=12, description="highest degree")
+
+    def features(self, states: Array) -> Array:
+        """Return the monomials (N, F) of states (N, d), by degree and then in lexicographic order."""
+        columns = [
+            np.prod(states[:, list(chosen)], axis=1)
+            for degree in range(2, self.degree + 1)
+            for chosen in combinations_with_replacement(range(states.shape[1]), degree)
+        ]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(states), 0))
+
+
 class RandomFourier(Observables):
-    """Random Fourier features of a Gaussian kernel that vanish at the origin: √(2/F)·(cos(wᵀx + b) − cos b).
+    """Random Fourier features of Gaussian kernels that vanish at the origin: √(2/F)·(cos(wᵀx + b) − cos b).
 
     With the goal as origin every observable is zero there, so that K maps the goal to itself: the
-    goal is a fixed point whatever the data (Rahimi & Recht 2007 give the features).
+    goal is a fixed point whatever the data (Rahimi & Recht 2007 give the features). Their kernels' widths
+    are spread evenly over orders of magnitude: narrow ones follow the path's turns, wide ones carry its
+    direction far from it.
     """
 
     count: int = Field(ge=1, le=5000, description="number of features F")
-    length_scale: float = Field(gt=0, description="of the kernel, in units of the demonstrations' spread")
+    length_scales: Interval = Field(
+        description="narrowest and widest kernel, in units of the demonstrations' spread; equal for one kernel"
+    )
     seed: int = Field(ge=0, description="of the frequencies w and phases b")
+
+    @model_validator(mode="after")
+    def _check_scales(self) -> "RandomFourier":
+        if not 0 < self.length_scales[0] <= self.length_scales[1]:
+            raise ValueError(f"length_scales must be positive, the narrowest first, found {list(self.length_scales)}")
+        return self
 
     @cached_property
     def _draw(self) -> tuple[Array, Array]:
         rng = np.random.default_rng([self.seed, self.count])
-        return rng.normal(size=(3, self.count)) / self.length_scale, rng.uniform(0, 2 * np.pi, self.count)
+        share = (np.arange(self.count) + 0.5) / self.count
+        narrowest, widest = self.length_scales
+        scales = narrowest * (widest / narrowest) ** share
+        return rng.normal(size=(3, self.count)) / scales, rng.uniform(0, 2 * np.pi, self.count)
 
     def features(self, states: Array) -> Array:
         """Return the features (N, F) of states (N, 3)."""
         frequencies, phases = self._draw
         waves = np.cos(states @ frequencies + phases) - np.cos(phases)
         return np.asarray(np.sqrt(2.0 / self.count) * waves)
+
+
+class RadialBasis(Observables):
+    """Gaussian bumps around centers among the states, less their value at the origin: it stays a fixed point.
+
+    The centers are chosen far from each other: each is the state farthest from those chosen before
+    (Gonzalez 1985), the first the one nearest to the origin.
+    """
+
+    count: int = Field(ge=1, le=5000, description="number of centers, or of the states if there are fewer")
+    length_scale: float = Field(gt=0, description="of the bumps, in units of the demonstrations' spread")
+
+    _centers: Array | None = PrivateAttr(default=None)
+
+    def placed(self, states: Array) -> Observables:
+        """Return the observables with centers chosen among states (M, d)."""
+        chosen = [int((states**2).sum(axis=1).argmin())]
+        apart = ((states - states[chosen[0]]) ** 2).sum(axis=1)
+        while len(chosen) < self.count and apart.max() > 0:
+            chosen.append(int(apart.argmax()))
+            apart = np.minimum(apart, ((states - states[chosen[-1]]) ** 2).sum(axis=1))
+        return self.restored({"centers": states[chosen]})
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the centers (F, d)."""
+        return {} if self._centers is None else {"centers": self._centers}
+
+    def restored(self, arrays: Mapping[str, np.ndarray]) -> Observables:
+        """Return the observables with given centers."""
+        copy = self.model_copy()
+        copy._centers = np.array(arrays["centers"])
+        return copy
+
+    def features(self, states: Array) -> Array:
+        """Return the features (N, F) of states (N, d).
+
+        Raises:
+            ValueError: the centers have not been placed.
+        """
+        if self._centers is None:
+            raise ValueError("the centers must be placed among the states first, found none")
+        return self._bumps(states) - self._bumps(np.zeros((1, states.shape[1])))
+
+    def _bumps(self, states: Array) -> Array:
+        centers = self._centers
+        assert centers is not None
+        squared = (states**2).sum(axis=1)[:, None] - 2.0 * states @ centers.T + (centers**2).sum(axis=1)
+        return np.asarray(np.exp(-0.5 * np.maximum(squared, 0.0) / self.length_scale**2))
+
+
+class RotationEntries(Observables):
+    """For rotation vectors o from the goal: the entries of R(o) − I, smooth functions of the rotation itself.
+
+    They are the same for o and for the vector of the same rotation beyond half a turn, so that they know no wrap
+    and no sign; at the goal they vanish.
+    """
+
+    def features(self, states: Array) -> Array:
+        """Return the features (N, 9) of rotation vectors (N, 3) [rad]."""
+        matrices = pose.to_matrix(pose.from_rotation_vector(states))
+        return np.asarray((matrices - np.eye(3)).reshape(len(states), 9))
 
 
 class RadialTurn(Observables):

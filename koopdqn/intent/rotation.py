@@ -9,7 +9,7 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.config.settings import Settings
 from koopdqn.intent.edmd import KoopmanModel, snapshot_pairs
-from koopdqn.intent.observables import AnyObservables
+from koopdqn.intent.observables import RotationObservables
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task, angles_in, quaternions_in
 
@@ -17,7 +17,7 @@ from koopdqn.tasks.task import Task, angles_in, quaternions_in
 class RotationSettings(Settings):
     """How the model of orientations is fitted, K_o of Eq. 18."""
 
-    observables: AnyObservables
+    observables: RotationObservables
     coordinates: Literal["vector", "angles"] = Field(
         description="rotation vector from the goal, or roll, pitch and yaw in the task's frame (the paper)"
     )

@@ -64,16 +64,45 @@ class RollOutError(ReportModel):
     reached_goal: NonNegativeInt = Field(description="how many end within 5 mm of the goal")
 
 
-class TrustCoverage(ReportModel):
-    """How much of a demonstration left out lies in the trust domain drawn from the others."""
+class RidgeError(ReportModel):
+    """How well a ridge serves demonstrations left out of the fit."""
 
-    sigmas: Positive = Field(description="k: half the domain's width in standard deviations")
+    ridge: NonNegative = Field(description="λ of the regularised least squares")
+    multi_step_error_m: NonNegative = Field(
+        description="root mean square distance after 25 steps from states of the demonstration left out [m]"
+    )
+
+
+class TrustCoverage(ReportModel):
+    """How much of a demonstration that it has not seen lies in the trust domain, and how wide the domain is."""
+
+    sigmas: Positive | None = Field(description="k: half a box's width in standard deviations; null for a tube")
     matching: Literal["step", "any", "everywhere", "nowhere"] = Field(
         description="how states are matched with the demonstrations' steps"
     )
-    held_out_state_coverage: Fraction = Field(description="share of the states inside, mean over the demonstrations")
-    held_out_path_coverage: Fraction = Field(description="share of the demonstrations inside from end to end")
-    per_demonstration: list[Fraction] = Field(description="(D,) share of the states inside")
+    nominal_coverage: Fraction | None = Field(
+        description="share of new demonstrations that the tube is made to hold from end to end, at most D/(D + 1);"
+        " null for a box, and for the fixed tube around a single demonstration"
+    )
+    fresh: NonNegativeInt = Field(description="new demonstrations that coverage was measured on (`fit.fresh`)")
+    measured_coverage: Fraction | None = Field(
+        description="share of those inside from end to end, by shape alone; null where there were none"
+    )
+    radius_m: Positive | None = Field(description="median radius of the tube along its middle; null for a box [m]")
+    largest_radius_m: Positive | None = Field(description="its largest radius [m]")
+    radius_rad: Positive | None = Field(description="median radius of orientations; null for a box [rad]")
+    spread_m: NonNegative | None = Field(
+        description="median along the path of the demonstrations' root mean square distance from their mean [m]"
+    )
+    known_share: Fraction = Field(description="share of the domain's places where the model's error is within limits")
+    held_out_state_coverage: Fraction | None = Field(
+        description="share of the states of a demonstration left out that are inside the domain drawn from the"
+        " others, mean over the demonstrations; null for a single one"
+    )
+    held_out_path_coverage: Fraction | None = Field(
+        description="share of the demonstrations left out that are inside from end to end"
+    )
+    per_demonstration: list[Fraction] | None = Field(description="(D,) share of the states inside")
 
 
 class SixtySamples(ReportModel):
@@ -100,13 +129,32 @@ class FitReport(ReportModel):
     demonstrations: Count = Field(description="number D of demonstrations")
     samples: list[Count] = Field(description="(D,) poses of each, resampled to the agent's step")
     step_m: Positive = Field(description="the agent's step [m]")
-    one_step_error_m: PositionErrors = Field(description="one-step error of position, Eq. 15 [m]")
-    one_step_error_per_step_m: ErrorPerStep = Field(description="the same by the step's number [m]")
+    one_step_error_m: PositionErrors | None = Field(
+        description="one-step error of position, Eq. 15; null for a single demonstration [m]"
+    )
+    one_step_error_per_step_m: ErrorPerStep | None = Field(description="the same by the step's number [m]")
     one_step_error_rad: RotationErrors | None = Field(
-        description="one-step error of orientation, Eq. 16; null where orientation is held [rad]"
+        description="one-step error of orientation, Eq. 16; null where orientation is held, or for a single"
+        " demonstration [rad]"
     )
     one_step_error_per_step_rad: ErrorPerStep | None = Field(description="the same by the step's number [rad]")
-    roll_out_error_m: RollOutError = Field(description="repeated prediction; no distance is given as over 1000 m [m]")
+    roll_out_error_m: RollOutError | None = Field(
+        description="repeated prediction; no distance is given as over 1000 m; null for a single demonstration [m]"
+    )
+    converges: bool = Field(
+        description="whether the model, followed from everywhere in the demonstrated region, comes to the goal"
+    )
+    converging_share: Fraction = Field(
+        description="share of the starts in that region from which it does: the demonstrations' starts, 20 of the start"
+        " region, 20 states beside the demonstrations as far out as they are trusted"
+    )
+    converging_share_wide: Fraction = Field(
+        description="the same of 20 starts three times as far from the middle of the start region"
+    )
+    ridge: NonNegative = Field(description="λ that the model was fitted with")
+    regularisation: list[RidgeError] = Field(
+        description="every λ tried, with its error on demonstrations left out; empty for a single demonstration"
+    )
     spectral_radius: NonNegative = Field(
         description="largest absolute eigenvalue of K (of K_p where there are two), fitted to all demonstrations"
     )
@@ -114,4 +162,6 @@ class FitReport(ReportModel):
     lifted_dimension: Count = Field(description="rows of K, or of K_p")
     trust: TrustCoverage = Field(description="coverage of the trust domain")
     unmatched_share: Fraction = Field(description="share of the demonstrated steps that no action can match")
-    sixty_samples: SixtySamples = Field(description="errors at the paper's sampling")
+    sixty_samples: SixtySamples | None = Field(
+        description="errors at the paper's sampling; null for a single demonstration"
+    )

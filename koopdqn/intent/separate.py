@@ -1,19 +1,31 @@
 """Separate models of position and orientation, K_p and K_o (Eqs. 17, 18): the paper's way, and the default."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from koopdqn import pose
-from koopdqn.intent.edmd import KoopmanModel, snapshot_pairs
-from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.config.settings import Floats
+from koopdqn.intent.edmd import KoopmanModel, within_radius
+from koopdqn.intent.model import IntentModel, IntentSettings, reach_of
 from koopdqn.intent.observables import AnyObservables
 from koopdqn.intent.rotation import RotationModel, RotationSettings
-from koopdqn.intent.stabilise import Stabilisation, surrounded
+from koopdqn.intent.stabilise import Pairs, Stabilisation, surrounded
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
+
+_LIFT = "lift_"
+_ROTATION_LIFT = "rotation_lift_"
+
+
+def _to_ridges(value: object) -> object:
+    return (value,) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+Ridges = Annotated[Floats, BeforeValidator(_to_ridges), Field(min_length=1)]
 
 
 class SeparateIntentSettings(IntentSettings):
@@ -21,34 +33,82 @@ class SeparateIntentSettings(IntentSettings):
 
     observables: AnyObservables
     goal_centered: bool = Field(description="take the goal as origin and the demonstrations' spread as unit")
-    ridge: float = Field(ge=0, description="λ of the regularised least squares; 0 is the paper's K = A G†")
+    ridge: Ridges = Field(
+        description="λ of the regularised least squares, or several to choose among by leaving one demonstration out,"
+        " of which the first serves a single demonstration; 0 is the paper's K = A G†"
+    )
+    spectral_limit: float | None = Field(
+        gt=0, description="largest absolute eigenvalue that K may have; null for no such limit"
+    )
     stabilisation: Stabilisation
     rotation: RotationSettings
 
+    @model_validator(mode="after")
+    def _check_ridges(self) -> "SeparateIntentSettings":
+        if min(self.ridge) < 0 or len(set(self.ridge)) < len(self.ridge):
+            raise ValueError(f"ridge must be 0 or above, each once, found {list(self.ridge)}")
+        return self
+
+    @property
+    def ridges(self) -> tuple[float, ...]:
+        """The ridges that may be chosen among."""
+        return self.ridge
+
+    def with_ridge(self, ridge: float) -> IntentSettings:
+        """Return the settings with one ridge."""
+        return self.model_copy(update={"ridge": (ridge,)})
+
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
-        """Return the model fitted to pose trajectories (N, 7)."""
+        """Return the model fitted to pose trajectories (N, 7), with the first ridge."""
+        pairs, center, scale = self._pairs(trajectories, task)
+        data = self.observables, pairs.before, pairs.after, center, scale
+        model = KoopmanModel.fit(*data, self.ridge[0], pairs.weight)
+        if self.spectral_limit is not None:
+            model = replace(model, matrix=within_radius(model.matrix, self.spectral_limit))
+        return SeparateIntent(model, self._rotation(trajectories, task), task.goal, reach_of(task))
+
+    def alternatives(self, trajectories: list[Array], task: Task) -> dict[float, IntentModel]:
+        """Return the models of all ridges, by ridge."""
+        if self.spectral_limit is not None:
+            return {ridge: self.with_ridge(ridge).fit(trajectories, task) for ridge in self.ridge}
+        pairs, center, scale = self._pairs(trajectories, task)
+        data = self.observables, pairs.before, pairs.after, center, scale
+        rotation = self._rotation(trajectories, task)
+        models = KoopmanModel.one_step(*data, self.ridge, pairs.weight)
+        return {
+            ridge: SeparateIntent(model, rotation, task.goal, reach_of(task))
+            for ridge, model in zip(self.ridge, models, strict=True)
+        }
+
+    def _pairs(self, trajectories: list[Array], task: Task) -> tuple[Pairs, Array, float]:
+        """Return the pairs to fit to, and origin (3,) [m] and unit [m] of the coordinates."""
         positions = [trajectory[:, pose.POSITION] for trajectory in trajectories]
-        before, after = surrounded(*snapshot_pairs(positions), self.stabilisation)
-        center, scale = np.zeros(3), 1.0
+        everything = np.concatenate(positions)
+        spread = float(np.sqrt(((everything - everything.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        pairs = surrounded(positions, spread, self.stabilisation)
         if self.goal_centered:
-            everything = np.concatenate(positions)
-            center = task.goal[pose.POSITION].copy()
-            scale = float(np.sqrt(((everything - everything.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        model = KoopmanModel.fit(self.observables, before, after, center, scale, self.ridge)
-        rotation = None
-        if task.orientation == "learned":
-            quaternions = [trajectory[:, pose.QUATERNION] for trajectory in trajectories]
-            rotation = RotationModel.fit(quaternions, task, self.rotation)
-        return SeparateIntent(model, rotation, task.goal)
+            return pairs, task.goal[pose.POSITION].copy(), spread
+        return pairs, np.zeros(3), 1.0
+
+    def _rotation(self, trajectories: list[Array], task: Task) -> RotationModel | None:
+        if task.orientation != "learned":
+            return None
+        return RotationModel.fit([trajectory[:, pose.QUATERNION] for trajectory in trajectories], task, self.rotation)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model whose arrays these are."""
-        position = KoopmanModel(self.observables, arrays["center"], float(arrays["scale"]), arrays["matrix"])
+        lift = self.observables.restored(_below(arrays, _LIFT))
+        position = KoopmanModel(lift, arrays["center"], float(arrays["scale"]), arrays["matrix"])
         rotation = None
         if "rotation_matrix" in arrays:
-            koopman = KoopmanModel(self.rotation.observables, np.zeros(3), 1.0, arrays["rotation_matrix"])
+            turn = self.rotation.observables.restored(_below(arrays, _ROTATION_LIFT))
+            koopman = KoopmanModel(turn, np.zeros(3), 1.0, arrays["rotation_matrix"])
             rotation = RotationModel(koopman, arrays["rotation_frame"], self.rotation.coordinates)
-        return SeparateIntent(position, rotation, arrays["goal"])
+        return SeparateIntent(position, rotation, arrays["goal"], float(arrays["reach"]))
+
+
+def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
 
 
 @dataclass(frozen=True)
@@ -59,11 +119,13 @@ class SeparateIntent(IntentModel):
         position: the Koopman model of positions, K_p.
         rotation: the model of orientations, or None where orientation is held.
         goal: the goal pose (7,).
+        reach: of additional pairs [m].
     """
 
     position: KoopmanModel
     rotation: RotationModel | None
     goal: Array
+    reach: float
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7), Eqs. 13, 14, 17, 18."""
@@ -85,7 +147,11 @@ class SeparateIntent(IntentModel):
             "center": self.position.center,
             "scale": np.array(self.position.scale),
             "goal": self.goal,
+            "reach": np.array(self.reach),
         }
+        held |= {_LIFT + name: values for name, values in self.position.observables.arrays().items()}
         if self.rotation is not None:
+            turn = self.rotation.koopman.observables
+            held |= {_ROTATION_LIFT + name: values for name, values in turn.arrays().items()}
             held |= {"rotation_matrix": self.rotation.koopman.matrix, "rotation_frame": self.rotation.frame}
         return held

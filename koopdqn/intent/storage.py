@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koopdqn.artifact import Artifact, arrays_digest, described, read_artifact, write_artifact
+from koopdqn.artifact import Artifact, arrays_digest, check_task, described, read_artifact, write_artifact
 from koopdqn.config.settings import load_settings
-from koopdqn.errors import BadInputError
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.tasks.task import Task
 
 KIND = "intent"
+_TRUST = "trust_"
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,7 @@ class StoredIntent:
         return arrays_digest(self._arrays())
 
     def _arrays(self) -> dict[str, Any]:
-        return {
-            **self.model.arrays(),
-            "trust_frame": self.trust.frame,
-            "trust_mean": self.trust.mean,
-            "trust_deviation": self.trust.deviation,
-            "trust_error": self.trust.error,
-        }
+        return {**self.model.arrays(), **{_TRUST + name: values for name, values in self.trust.arrays().items()}}
 
     def write(self, path: Path, task: Task) -> None:
         """Write the file, with the task and the settings that shaped it."""
@@ -62,14 +56,10 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
     """
     artifact = read_artifact(path, KIND)
     about, arrays = artifact.about, artifact.arrays
-    found = about.get("task")
-    if found != described(task):
-        name = found.get("name") if isinstance(found, dict) else found
-        raise BadInputError(f"intent {path} must be of task {task.name} with the present settings, found task {name}")
+    check_task(f"intent {path}", about.get("task"), task)
     settings = load_settings(about["intent"], IntentSettings, "intent")
     trust = load_settings(about["trust"], TrustSettings, "trust")
-    domain = TrustDomain(
-        trust, arrays["trust_frame"], arrays["trust_mean"], arrays["trust_deviation"], arrays["trust_error"]
-    )
-    model = settings.restore(arrays)
+    own = {name: values for name, values in arrays.items() if not name.startswith(_TRUST)}
+    drawn = {name.removeprefix(_TRUST): values for name, values in arrays.items() if name.startswith(_TRUST)}
+    model, domain = IntentModel.restore(own, settings), TrustDomain.restore(drawn, trust)
     return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))

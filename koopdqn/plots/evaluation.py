@@ -43,6 +43,7 @@ def plot_evaluation(
     demonstrations: Demonstrations,
     task: Task,
     image: Image | None,
+    compared: Sequence[Episode] | None = None,
 ) -> None:
     """Draw an evaluation into a PNG.
 
@@ -50,10 +51,12 @@ def plot_evaluation(
         path: the file.
         report: the content of ``eval.json``.
         episodes: the policy's.
-        references: the demonstrator's own path (T, 7) from each episode's start.
+        references: (T, 7) for each compared episode: the demonstrator's own path from the same start, or the
+            held-out demonstration that begins there.
         demonstrations: what the policy was taught from.
         task: gives the start region and the goal.
         image: the scene with learned paths in it; None leaves its panel out.
+        compared: the episodes that references belong to; None: all of them.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -74,24 +77,28 @@ def plot_evaluation(
             show_image(figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; learned paths")
         below = rows[1].subgridspec(1, 2)
         views = [figure.add_subplot(below[i]) for i in range(2)]
-        _deviation(figure.add_subplot(curves), episodes, references)
+        aside = report.get("holdout") is not None
+        _deviation(figure.add_subplot(curves), episodes if compared is None else compared, references, aside)
         for axes, (plane, view) in zip(views, (("top", "above"), ("side", "the side")), strict=True):
-            _projection(axes, plane, episodes, references, demonstrations, task)
+            shown = [*(compared or ()), *episodes] if aside else episodes
+            _projection(axes, plane, shown, references, demonstrations, task, aside)
             axes.set_title(f"Learned and demonstrated paths, from {view}")
         pair = bars.subgridspec(1, 2)
         success = figure.add_subplot(pair[0])
         _comparison(success, figure.add_subplot(pair[1], sharey=success), report)
 
 
-def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Array]) -> None:
-    """Draw the distance from the demonstrator's own path over the path's share: median and spread over episodes."""
+def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Array], aside: bool) -> None:
+    """Draw the distance from the references over the path's share: median and spread over episodes."""
     moved = [(e.poses, r) for e, r in zip(episodes, references, strict=True) if e.steps]
     axes.set_xlabel("share of the path travelled [%]")
     axes.set_ylabel("deviation [mm]")
-    axes.set_title("Deviation from the demonstrator's own path, same start")
+    title = "Deviation from held-out demonstrations" if aside else "Deviation from the demonstrator's own path"
+    axes.set_title(f"{title}, same start")
     axes.set_xlim(0, 100)
     if not moved:
-        axes.text(0.5, 0.5, "no episode made a step", transform=axes.transAxes, ha="center", va="center", color=RED)
+        why = "no episode made a step" if episodes else "no demonstration is held out"
+        axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=RED)
         return
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
     share = np.linspace(0, 100, SAMPLES)
@@ -113,12 +120,13 @@ def _projection(
     references: Sequence[Array],
     demonstrations: Demonstrations,
     task: Task,
+    aside: bool,
 ) -> None:
     demonstrated = [item.poses[:, pose.POSITION] for item in demonstrations.items]
     learned = [episode.poses[:, pose.POSITION] for episode in episodes[:_SHOWN]]
     meant = [reference[:, pose.POSITION] for reference in references[:_SHOWN]]
     styles = (
-        (meant, MEANT, ":", 1.0, "demonstrator, same starts", 2.2),
+        (meant, MEANT, ":", 1.0, "held out" if aside else "demonstrator, same starts", 2.2),
         (learned, LEARNED, "-", 1.1, "learned", 2.1),
         (demonstrated, DEMONSTRATED, "-", 1.3, "demonstrations", 2.0),
     )
@@ -154,6 +162,9 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
     success.set_yticks(rows, [name.replace("_", " ") for name in methods])
     success.invert_yaxis()
     success.set_title("Success, 95 % interval")
+    # Where demonstrations are held out, they alone are what a path can deviate from.
+    if holdout := report.get("holdout"):
+        methods = {_POLICY: holdout["policy"], **(holdout["baselines"] or {})}
     found = [method["path_deviation_mm"] for method in methods.values()]
     longest = 1e-6
     for row, (deviation, colour) in enumerate(zip(found, colours, strict=True)):

@@ -11,8 +11,10 @@ from matplotlib.patches import Patch
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.intent.box import Box
 from koopdqn.intent.fitting import Fitted, agent_steps
 from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.tube import Tube
 from koopdqn.plots.style import (
     ASK,
     BLUE,
@@ -51,30 +53,38 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         BadInputError: the file cannot be written.
     """
     report = fitted.report
-    rms = report["one_step_error_m"]["rms"] * _MM
-    title = f"Human intent of task {task.name} ({report['intent']}): held-out one-step error {rms:.2f} mm RMS"
+    title = f"Human intent of task {task.name} ({report['intent']})"
+    measured = report["one_step_error_m"] is not None
+    if measured:
+        title += f": held-out one-step error {report['one_step_error_m']['rms'] * _MM:.2f} mm RMS"
+    else:
+        title += ", of a single demonstration: nothing is held out, no error is measured"
     turns = report["one_step_error_rad"] is not None
     if turns:
         title += f", {np.degrees(report['one_step_error_rad']['rms']):.2g}°"
     trajectories = agent_steps(demonstrations, task)
     with picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 6, height_ratios=(1, 1.15))
-        cells = grid[0, :4].subgridspec(2 if turns else 1, 1)
-        upper = figure.add_subplot(cells[0])
-        _position_errors(upper, fitted, task, room=1.9 if turns else 1.45)
-        if turns:
-            _rotation_errors(figure.add_subplot(cells[1], sharex=upper), fitted, task)
-            upper.tick_params(labelbottom=False)
-            upper.set_xlabel("")
-        _eigenvalues(figure.add_subplot(grid[0, 4:]), fitted)
+        if measured:
+            cells = grid[0, :4].subgridspec(2 if turns else 1, 1)
+            upper = figure.add_subplot(cells[0])
+            _position_errors(upper, fitted, task, room=1.9 if turns else 1.45)
+            if turns:
+                _rotation_errors(figure.add_subplot(cells[1], sharex=upper), fitted, task)
+                upper.tick_params(labelbottom=False)
+                upper.set_xlabel("")
+        _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
+        row = 1 if measured else slice(None)
         rollouts = _roll_outs(fitted, trajectories, task)
-        for place, plane, view in ((grid[1, :2], "top", "above"), (grid[1, 2:4], "side", "the side")):
+        for place, plane, view in ((grid[row, :2], "top", "above"), (grid[row, 2:4], "side", "the side")):
             axes = figure.add_subplot(place)
             corners = _tube(axes, fitted.trust, plane)
             _paths(axes, plane, trajectories, rollouts, corners, task)
             axes.set_title(f"Rolled out from each start, from {view}")
             if plane == "top":
                 _tube_legend(axes, fitted.trust)
+        if not measured:
+            return
         bars = grid[1, 4:].subgridspec(2 if turns else 1, 1)
         first = figure.add_subplot(bars[0])
         _components(first, report["one_step_error_m"], _MM, "one-step error [mm]")
@@ -127,22 +137,22 @@ def _errors(
     """
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
     highest = max(line[0] for line in lines)
-    _shade(axes, ~fitted.trust.known)
+    _shade(axes, ~fitted.trust.known, len(mean))
     axes.plot(mean, color=BLUE, label="mean over demonstrations")
     axes.plot(largest, color=SKY, linewidth=1.0, label="largest")
     for value, colour, style, meaning in lines:
         axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
-    axes.set_xlim(0, max(len(mean), len(fitted.trust.mean)) - 1)
+    axes.set_xlim(0, len(mean))
     # An error far over all limits is cut off rather than flattening the rest.
     axes.set_ylim(0, room * min(max(float(largest.max()), highest), 4 * highest))
     axes.set_xlabel("step of the demonstration")
 
 
-def _shade(axes: Axes, asked: np.ndarray) -> None:
-    """Shade the steps at which the model's error is over the limit."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], asked, [False]]).astype(int)))
+def _shade(axes: Axes, asked: np.ndarray, steps: int) -> None:
+    """Shade the places (S,) of the trust domain at which the model's error is over the limit, spread over the steps."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], asked, [False]]).astype(int))) * steps / len(asked)
     for index, (start, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-        axes.axvspan(start - 0.5, end - 0.5, color=ASK, lw=0, label=None if index else "the expert is asked", zorder=0)
+        axes.axvspan(start, end, color=ASK, lw=0, label=None if index else "the expert is asked", zorder=0)
 
 
 def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
@@ -186,17 +196,36 @@ def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Ar
 
 
 def _tube(axes: Axes, trust: TrustDomain, plane: str) -> Array:
-    """Draw the trust domain, at every step a box, in another colour where the model errs; return its corners (M, 3)."""
+    """Draw the trust domain at every place, in another colour where the model errs; return its corners (M, 3)."""
+    middle, width = _extent(trust)
     i, j = PLANES[plane]
-    width = (trust.settings.sigmas * trust.deviation)[:, :3]
-    low, high = trust.mean[:, :3] - width, trust.mean[:, :3] + width
+    if isinstance(trust, Tube):
+        angle = np.linspace(0, 2 * np.pi, 49)
+        edge = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    else:
+        edge = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    outlines = middle[:, None, [i, j]] + edge * width[:, None, [i, j]]
     for chosen, colour, order in ((~trust.known, ASK, 1.0), (trust.known, TRUST, 1.1)):
-        boxes = [
-            [(a[i], a[j]), (b[i], a[j]), (b[i], b[j]), (a[i], b[j])]
-            for a, b in zip(low[chosen], high[chosen], strict=True)
-        ]
-        axes.add_collection(PolyCollection(boxes, facecolors=colour, edgecolors="none", zorder=order), autolim=False)
-    return np.concatenate([low, high])
+        drawn = PolyCollection(list(outlines[chosen]), facecolors=colour, edgecolors="none", zorder=order)
+        axes.add_collection(drawn, autolim=False)
+    return np.concatenate([middle - width, middle + width])
+
+
+def _extent(trust: TrustDomain) -> tuple[Array, Array]:
+    """Return middle (S, 3) [m] and half widths (S, 3) [m] of a trust domain at every place."""
+    if isinstance(trust, Tube):
+        return trust.middle[:, pose.POSITION], np.repeat(trust.radius[:, :1], 3, axis=1)
+    if isinstance(trust, Box):
+        return trust.mean[:, :3], (trust.settings.sigmas * trust.deviation)[:, :3]
+    return np.zeros((len(trust.error), 3)), np.zeros((len(trust.error), 3))
+
+
+def _named(trust: TrustDomain) -> str:
+    """Return what the legend says of the trust domain."""
+    if isinstance(trust, Tube):
+        radius = trust.radius[:, 0] * _MM
+        return f"trusted: radius {radius.min():.2g} to {radius.max():.2g} mm"
+    return f"trusted: mean ± {trust.settings.sigmas:g} σ" if isinstance(trust, Box) else "trusted"
 
 
 def _paths(
@@ -214,7 +243,7 @@ def _tube_legend(axes: Axes, trust: TrustDomain) -> None:
     handles: list[Patch | Line2D] = [
         Line2D([], [], color=DEMONSTRATED, label="demonstration"),
         Line2D([], [], color=BLUE, linestyle=(0, (4, 2)), label="intent, rolled out"),
-        Patch(color=TRUST, label=f"trusted: mean ± {trust.settings.sigmas:g} σ"),
+        Patch(color=TRUST, label=_named(trust)),
     ]
     if not trust.known.all():
         handles.append(Patch(color=ASK, label="error over the limit: ask"))

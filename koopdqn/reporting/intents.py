@@ -89,6 +89,7 @@ def study(
         BadInputError: the demonstrations do not fit the task, or are too few.
     """
     fitted = fit(demonstrations, task, intent, trust)
+    intent = intent.with_ridge(fitted.report["ridge"])
     trajectories = agent_steps(demonstrations, task)
     raw, rescaled = [], []
     for index, trajectory in enumerate(trajectories):

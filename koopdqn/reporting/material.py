@@ -24,6 +24,9 @@ SHOWN = 0
 """The demonstration that figures draw, and hold out."""
 
 
+_BAND_SIGMAS = 3.0
+
+
 @dataclass(frozen=True)
 class Material:
     """What a task's figures are drawn from.
@@ -56,8 +59,8 @@ class Material:
 
     @property
     def sigmas(self) -> float:
-        """Half the width of the run's trust domain in standard deviations."""
-        return float(self.run.about["trust"]["sigmas"])
+        """Half the width of the run's boxes in standard deviations; of the usual band where it trusts a tube."""
+        return float(self.run.about["trust"].get("sigmas", _BAND_SIGMAS))
 
     @property
     def fits(self) -> tuple[Path, ...]:

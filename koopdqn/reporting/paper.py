@@ -6,6 +6,8 @@ from pathlib import Path
 from koopdqn.config.resources import conf_dir
 from koopdqn.dqn.observation import size
 from koopdqn.environment.actions import ACTIONS, COUNT
+from koopdqn.intent.box import BoxSettings
+from koopdqn.intent.tube import TubeSettings
 from koopdqn.reporting.content import Cell, Table
 from koopdqn.reporting.groups import DEFAULT, PAPER, TASKS, Groups, Preset, Presets
 from koopdqn.reporting.intents import IntentStudy
@@ -29,6 +31,13 @@ def actions_table() -> Table:
     )
 
 
+def _width(preset: Preset) -> str:
+    trust = preset.trust
+    if isinstance(trust, TubeSettings):
+        return f"tube of {trust.coverage:.0%} coverage"
+    return f"{trust.sigmas:g}" if isinstance(trust, BoxSettings) else type(trust).__name__
+
+
 def hyperparameters_table(presets: Presets) -> Table:
     """Return Table A1 with Appendix 7.1, the paper's values beside those of both presets."""
     lines: tuple[tuple[str, str, str, Callable[[Preset], str], str], ...] = (
@@ -44,7 +53,7 @@ def hyperparameters_table(presets: Presets) -> Table:
         ("discount γ", "not given", "not given", lambda p: f"{p.agent.gamma:g}", "agent"),
         ("ε, first to last", "not given", "not given", _epsilon, "agent"),
         ("target network", "not given", "not given", _target, "agent"),
-        ("width of the trust domain, k", "not given", "not given", lambda p: f"{p.trust.sigmas:g}", "trust"),
+        ("width of the trust domain, k", "not given", "not given", _width, "trust"),
         ("number of demonstrations", "not given", "not given", lambda p: f"{p.demonstrations}", "config"),
     )
     places = [(task, name) for name in (PAPER, DEFAULT) for task in TASKS]

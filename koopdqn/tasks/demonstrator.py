@@ -6,6 +6,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.tasks import law
 from koopdqn.tasks.path import SmoothPath
 
 
@@ -78,10 +79,4 @@ class Demonstrator:
 
     def roll_out(self, start: Array, limit: int) -> Array:
         """Return the poses (T, 7) of the law from a start (7,) until the goal, at most ``limit`` steps."""
-        poses = [start]
-        for _ in range(limit):
-            reached = self.next_pose(poses[-1][None])[0]
-            poses.append(reached)
-            if max(pose.position_distance(reached, self.goal), pose.rotation_distance(reached, self.goal)) < 1e-6:
-                break
-        return np.array(poses)
+        return law.roll_out(self, start, limit)

@@ -1,11 +1,16 @@
 """A smooth path in space, measured by its arc length."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from koopdqn.pose import Array
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,17 @@ class SmoothPath:
         # ‖p−c‖² without its constant ‖p‖²: a matrix product instead of an (N, M, 3) difference.
         squared = (self.points**2).sum(axis=1) - 2.0 * positions @ self.points.T
         return np.asarray(squared.argmin(axis=1) * self.spacing)
+
+    def distance(self, positions: ArrayLike) -> Array:
+        """Return the distance (N,) [m] of positions (N, 3) [m] from the path's nearest point."""
+        distance, _ = self._tree.query(np.asarray(positions, dtype=float))
+        return np.asarray(distance)
+
+    @cached_property
+    def _tree(self) -> "KDTree":
+        from scipy.spatial import KDTree
+
+        return KDTree(self.points)
 
     def at(self, arc: ArrayLike) -> Array:
         """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""

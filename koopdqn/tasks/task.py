@@ -11,6 +11,7 @@ from koopdqn import pose
 from koopdqn.config.settings import Settings, Vector3, Vector4
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrator import Demonstrator, TurnLaw
+from koopdqn.tasks.law import Law
 from koopdqn.tasks.path import SmoothPath
 
 if TYPE_CHECKING:
@@ -36,13 +37,18 @@ class PaperSettings(Settings):
     episodes: int = Field(gt=0)
 
 
-class Task(Settings, ABC):
+class TaskChoice(Settings, ABC):
+    """What an option of the group ``task`` describes: a task, or how one is made from demonstrations."""
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+
+
+class Task(TaskChoice):
     """A task: from a start region to a goal, as a person would do it. Subclass it for a new one.
 
     All poses are of the flange in UR Base.
     """
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     waypoints: Waypoints = Field(description="flange positions of the nominal path, start first, goal last [m]")
     start_quaternion: Vector4
     goal_quaternion: Vector4
@@ -56,6 +62,15 @@ class Task(Settings, ABC):
     goal_tolerance_m: float = Field(gt=0, description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: float = Field(gt=0)
     pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the demonstrator looks along its path [m]")
+    modelled_pull_back_m: float = Field(
+        ge=1e-3, le=1.0, description="the same of the intent model's made-up states; shorter where paths must not drift [m]"
+    )
+    centring: float = Field(
+        ge=0,
+        le=1,
+        description="how much, among right actions, coming nearer to the demonstrated path counts rather than coming"
+        " nearer to the predicted pose: near 1 for a person who keeps to a path, 0 for one who heads for the goal",
+    )
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
     paper: PaperSettings
@@ -154,7 +169,7 @@ class Task(Settings, ABC):
         return SmoothPath.through(self.waypoints)
 
     @cached_property
-    def demonstrator(self) -> Demonstrator:
+    def demonstrator(self) -> Law:
         """The person's law without variation: what the scripted oracle answers from."""
         return self.demonstrator_on(self.nominal_path)
 

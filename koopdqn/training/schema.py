@@ -28,6 +28,7 @@ class RewardsGiven(ReportModel):
     """Rewards by source; what the rules alone decide is not among them."""
 
     trusted: NonNegativeInt = Field(description="from the trusted intent model")
+    remembered: NonNegativeInt = Field(description="from remembered answers")
     asked: NonNegativeInt = Field(description="from asking")
 
 
@@ -52,6 +53,16 @@ class TrainReport(ReportModel):
     env_steps: NonNegativeInt = Field(description="actions tried: transitions stored, undone ones included")
     updates: NonNegativeInt = Field(description="updates of the network")
     oracle_queries: NonNegativeInt = Field(description="questions that reached the oracle")
+    budget_spent: bool = Field(description="whether `oracle.budget` questions were asked")
+    answered_instead: NonNegativeInt = Field(
+        description="questions that the scripted oracle answered after that (`oracle.when_spent=scripted`)"
+    )
+    contradictions: NonNegativeInt = Field(
+        description="how often remembered answers left no action that could be right, and were forgotten"
+    )
+    rewards_recomputed: NonNegativeInt = Field(
+        description="rewards in the replay buffer recomputed because an answer changed the intent model"
+    )
     trusted_fraction: Fraction | None = Field(
         description="share of rewards_given that came from the trusted model; null if there was none"
     )

@@ -12,18 +12,19 @@ from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.replay import ReplayBuffer, Transitions
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.episodes import EpisodeBatch, StartSampler
-from koopdqn.environment.reward import ASKED, RULE, TRUSTED, IntentReward, Judgement
+from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED, IntentReward, Judgement
+from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import Oracle, Question
 from koopdqn.feedback.scripted import demonstrator_agrees
 from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, roll_out
+from koopdqn.training.feedback import Budget, Feedback
 from koopdqn.training.history import Check, History
 from koopdqn.training.settings import TrainSettings
 from koopdqn.workcell import Workcell
 
 _COUNTERS = (
     "env_steps",
-    "questions",
     "next_episode",
     "rounds",
     "learned_at",
@@ -40,8 +41,8 @@ class Trainer:
         history: what happened so far.
         learner: the networks.
         best: the policy arrays of the best check so far.
+        feedback: the reward function and what answers have taught.
         env_steps: actions tried so far: each transition that was stored.
-        questions: questions that reached the oracle so far.
         learned_at: ``env_steps`` when learned, or −1.
     """
 
@@ -54,6 +55,8 @@ class Trainer:
         agent: AgentSettings,
         settings: TrainSettings,
         seed: int,
+        feedback: FeedbackSettings,
+        budget: Budget = Budget(),  # noqa: B008 (frozen)
     ) -> None:
         """Prepare a run.
 
@@ -65,14 +68,15 @@ class Trainer:
             agent: how it learns.
             settings: when it stops.
             seed: fixes everything.
+            feedback: what is made of answers.
+            budget: how many questions may be asked.
         """
         torch.set_num_threads(settings.threads)
         self.workcell = workcell
-        self.reward = reward
+        self.feedback = Feedback(reward, oracle, feedback, budget)
         self.agent = agent
         self.settings = settings
         self._task = workcell.task
-        self._oracle = oracle
         weights, self._explore_rng, self._batch_rng = (np.random.default_rng([seed, 2, i]) for i in range(3))
         self.learner = Learner(size(self._task), agent, weights)
         self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
@@ -96,7 +100,6 @@ class Trainer:
         self._check_starts = workcell.reachability.draw_starts(self._task, check_rng, settings.check_starts)
         self.history = History()
         self.env_steps = 0
-        self.questions = 0
         self.rounds = 0
         self.learned_at = -1
         self.passed = 0
@@ -109,6 +112,11 @@ class Trainer:
     def learned(self) -> bool:
         """Whether enough checks in a row were passed."""
         return self.learned_at >= 0
+
+    @property
+    def questions(self) -> int:
+        """Questions that reached the oracle so far."""
+        return self.feedback.questions
 
     def run(
         self,
@@ -138,6 +146,8 @@ class Trainer:
     def _finished(self) -> bool:
         if self.env_steps >= self.settings.max_steps or len(self.history.rewards) >= self.settings.max_episodes:
             return True
+        if self.feedback.stopped:
+            return True
         if not self.learned:
             return False
         return self.settings.stop == "learned" or self.env_steps >= self.settings.extend * self.learned_at
@@ -148,28 +158,25 @@ class Trainer:
 
     def _round(self) -> None:
         """Let every episode try one action, after all that is known anyway where ``trials`` says so."""
-        judgement = self.reward.judge(self._batch.poses, self._batch.steps)
+        judgement = self.feedback.judge(self._batch.poses, self._batch.steps)
         observations = observe(self._batch.poses, self._task)
         values = self.learner.online.values(observations)
         if self.agent.trials == "all":
             self._try_known(judgement, observations)
-        self._batch.fresh[:] = False
         for index in range(len(self._batch)):
             self._act(index, judgement, values[index], observations[index])
 
     def _try_known(self, judgement: Judgement, observations: np.ndarray) -> None:
         batch = self._batch
-        mask = judgement.known & batch.fresh[:, None]
+        mask = judgement.known & ~batch.stored
         for index, action in np.argwhere(mask & (judgement.reward >= 0)):
             if self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index]).joints is None:
                 self._refuse(judgement, index, action)
         rows, actions = np.nonzero(mask)
-        self._tally(batch.poses[rows], judgement, rows, actions)
-        rewards = judgement.reward[rows, actions]
-        self._store(observations[rows], actions, rewards, judgement, rows, np.zeros(len(rows), dtype=bool))
+        self._keep(judgement, observations, rows, actions)
 
     def _refuse(self, judgement: Judgement, index: int, action: int) -> None:
-        judgement.reward[index, action] = self.reward.value(False, False)
+        judgement.reward[index, action] = self.feedback.reward.value(False, False)
         judgement.known[index, action] = True
         judgement.source[index, action] = RULE
 
@@ -177,10 +184,10 @@ class Trainer:
         batch = self._batch
         action = self._choose(judgement, index, values)
         if action is None:
+            self.feedback.memory.contradict(batch.poses[index])
             self._end(index)
             return
         motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
-        stored = self.agent.trials == "all" and bool(judgement.known[index, action])
         if motion.joints is None:
             self._refuse(judgement, index, action)
         elif not judgement.known[index, action] and not self._ask(judgement, index, action):
@@ -191,10 +198,8 @@ class Trainer:
         moves = motion.joints is not None and (right or not self.agent.step_back)
         at_goal = moves and bool(judgement.at_goal[index, action])
         cut = moves and not at_goal and batch.steps[index] + 1 >= batch.limits[index]
-        if not stored:
-            row = np.array([index])
-            self._tally(batch.poses[row], judgement, row, np.array([action]))
-            self._store(observation[None], np.array([action]), np.array([reward]), judgement, row, np.array([cut]))
+        if not batch.stored[index, action] or self.agent.trials == "chosen":
+            self._keep(judgement, observation[None], np.array([index]), np.array([action]), cut=bool(cut))
         batch.rewards[index] += reward
         if motion.joints is None or not moves:
             batch.tried[index, action] = True
@@ -213,7 +218,7 @@ class Trainer:
                 candidates = known_right
             else:
                 # Nothing is known to be right here: ask, the likeliest by the model's untrusted opinion first.
-                candidates, values, explore = untried & ~judgement.known[index], judgement.reward[index], False
+                candidates, values, explore = untried & ~judgement.known[index], judgement.margin[index], False
         if not candidates.any():
             return None
         if explore:
@@ -225,17 +230,55 @@ class Trainer:
         batch = self._batch
         pose, reached = batch.poses[index].copy(), judgement.reached[index, action].copy()
         step = int(batch.steps[index])
-        trust = self.reward.trust
-        reason = trust.outside(reached, step + 1) or trust.outside(pose, step)
+        trust = self.feedback.reward.trust
         question = Question(
-            int(batch.numbers[index]), step, pose, action, reached, judgement.predicted[index].copy(), reason
+            episode=int(batch.numbers[index]),
+            step=step,
+            pose=pose,
+            action=action,
+            reached=reached,
+            predicted=judgement.predicted[index].copy(),
+            reason=trust.outside(reached, step + 1) or trust.outside(pose, step),
+            candidates=judgement.reached[index].copy(),
         )
-        answer = self._oracle.answer(question)
-        self.questions += 1
-        if answer.right is None:
+        right = self.feedback.ask(question, judgement, index, self._replay)
+        if right is None:
             return False
-        judgement.reward[index, action] = self.reward.value(answer.right, bool(judgement.at_goal[index, action]))
+        at_goal = bool(judgement.at_goal[index, action])
+        judgement.reward[index, action] = self.feedback.reward.value(right, at_goal)
         return True
+
+    def _keep(
+        self,
+        judgement: Judgement,
+        observations: np.ndarray,
+        rows: np.ndarray,
+        actions: np.ndarray,
+        *,
+        cut: bool = False,
+    ) -> None:
+        """Store the experience of actions (M,) of episodes in ``rows`` (M,), observed before as (N or 1, inputs)."""
+        batch = self._batch
+        self._tally(batch.poses[rows], judgement, rows, actions)
+        rewards = judgement.reward[rows, actions]
+        wrong = rewards < 0
+        self._replay.add(
+            Transitions(
+                observations[rows] if len(observations) == len(batch) else observations,
+                actions,
+                rewards.astype(np.float32),
+                observe(judgement.reached[rows, actions], self._task),
+                terminated=judgement.at_goal[rows, actions] & ~wrong,
+                truncated=np.full(len(rows), cut),
+                undone=wrong & self.agent.step_back,
+                poses=batch.poses[rows],
+                steps=batch.steps[rows],
+                sources=judgement.source[rows, actions],
+                answers=judgement.answer[rows, actions],
+            )
+        )
+        batch.stored[rows, actions] = True
+        self.env_steps += len(actions)
 
     def _tally(self, poses: Array, judgement: Judgement, rows: np.ndarray, actions: np.ndarray) -> None:
         sources = judgement.source[rows, actions]
@@ -244,32 +287,9 @@ class Trainer:
             return
         agrees = demonstrator_agrees(self._task, poses[counted], judgement.reached[rows, actions][counted])
         same = agrees == (judgement.reward[rows, actions][counted] >= 0)
-        for source in (TRUSTED, ASKED):
+        for source in (TRUSTED, ASKED, REMEMBERED):
             self.history.judged[source] += int((sources == source).sum())
             self.history.agreed[source] += int(same[sources[counted] == source].sum())
-
-    def _store(
-        self,
-        observations: np.ndarray,
-        actions: np.ndarray,
-        rewards: np.ndarray,
-        judgement: Judgement,
-        rows: np.ndarray,
-        cut: np.ndarray,
-    ) -> None:
-        wrong = rewards < 0
-        self._replay.add(
-            Transitions(
-                observations,
-                actions,
-                rewards.astype(np.float32),
-                observe(judgement.reached[rows, actions], self._task),
-                terminated=judgement.at_goal[rows, actions] & ~wrong,
-                truncated=cut,
-                undone=wrong & self.agent.step_back,
-            )
-        )
-        self.env_steps += len(actions)
 
     def _end(self, index: int) -> None:
         batch = self._batch
@@ -309,6 +329,7 @@ class Trainer:
             "replay": self._replay.state(),
             "episodes": self._batch.state(),
             "best": self.best,
+            "feedback": self.feedback.state(),
             "losses": {"recent": np.array(self._losses, dtype=np.float64)},
         }
         arrays = {f"{part}/{name}": values for part, state in parts.items() for name, values in state.items()}
@@ -331,6 +352,7 @@ class Trainer:
         self._replay.restore(part("replay"))
         self._batch.restore(part("episodes"))
         self.best = part("best")
+        self.feedback.restore(part("feedback"))
         self._losses = part("losses")["recent"].tolist()
         for name in _COUNTERS:
             setattr(self, name, about["counters"][name])

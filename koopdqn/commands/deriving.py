@@ -1,0 +1,47 @@
+"""Making the task from demonstrations, where the config leaves it to them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from koopdqn import console
+from koopdqn.commands.configuration import Configuration
+from koopdqn.demonstrations.derivation import Derivation
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.reading import read_demonstrations
+from koopdqn.errors import BadInputError
+
+DEMONSTRATIONS = "demos.hdf5"
+
+
+def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configuration:
+    """Return a config whose task is made, if it must be, from ``demos=`` or what a folder holds; say what was found.
+
+    Args:
+        config: the config.
+        folder: whose ``demos.hdf5`` holds the demonstrations as they were read, the ones kept for evaluation
+            marked.
+        keep: whether to write that file if there is none.
+
+    Raises:
+        BadInputError: there are no demonstrations, they are not those the folder holds, or they show no task.
+    """
+    recipe = config.chosen
+    if not isinstance(recipe, Derivation):
+        return config
+    kept = folder / DEMONSTRATIONS
+    sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
+    if not sources:
+        raise BadInputError(
+            f"demos: must name the files that task {recipe.name} is made from (HDF5 or CSV; one, several in brackets,"
+            " or a glob), found none"
+        )
+    read = read_demonstrations(sources, recipe.name, config.robot.name, any_task=True)
+    read = replace(read, held_out=recipe.kept_of(len(read)))
+    if kept.exists() and read_hdf5(kept).digest() != read.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
+    derived = recipe.derive(read)
+    for line in derived.notes:
+        console.note(f"task {recipe.name}: {line}")
+    if keep and not kept.exists():
+        write_hdf5(kept, read)
+    return replace(config, derived=derived)

@@ -1,0 +1,223 @@
+"""A task derived from demonstrations: start region, goal, step and orientation rule."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.config.settings import Fraction, Positive
+from koopdqn.demonstrations import ends
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.idle import Trimmed, trimmed
+from koopdqn.demonstrations.resample import to_count, to_step
+from koopdqn.demonstrations.smooth import smoothed
+from koopdqn.demonstrations.turning import largest_turn_from, turning_of
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.tasks.demonstrated import DemonstratedTask, Turning
+from koopdqn.tasks.path import arc_lengths, at_arc_lengths
+from koopdqn.tasks.task import TURNS_PER_STEP, PaperSettings, TaskChoice
+
+# The step of the other tasks. Where a demonstration would have fewer steps than the fewest it is shorter, where
+# more than the most longer, within the bounds [m].
+_STEP_M, _LEAST_STEP_M, _LARGEST_STEP_M = 0.0021, 0.0005, 0.005
+_FEWEST_STEPS, _MOST_STEPS = 50, 500
+_STEP_PER_TOLERANCE = 1.05
+# A start nearer to the goal than this many of its tolerances leaves next to nothing to learn.
+_LEAST_WAY = 4.0
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A task with the demonstrations it was made from.
+
+    Attributes:
+        task: the task.
+        training: what it was made from: without idle ends and sensor noise, each bent to end at the goal.
+        held_out: the demonstrations kept for evaluation, without idle ends and sensor noise, ending where they did.
+        notes: what was found, in lines for people.
+    """
+
+    task: DemonstratedTask
+    training: Demonstrations
+    held_out: tuple[Demonstration, ...]
+    notes: tuple[str, ...]
+
+
+class Derivation(TaskChoice):
+    """How a task is made from demonstrations; null leaves the value to them."""
+
+    holdout: int | None = Field(
+        ge=0, description="demonstrations kept for evaluation, the last ones; null: one, none if there is but one"
+    )
+    turning: Turning | None = Field(description="what becomes of orientation")
+    step_m: float | None = Field(ge=1e-4, le=0.05, description="distance of one action [m]")
+    rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
+    goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
+    goal_rotation_tolerance_rad: Positive
+    pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the law looks along a demonstration [m]")
+    modelled_pull_back_m: float = Field(ge=1e-3, le=1.0, description="the same of the intent model's made-up states [m]")
+    centring: Fraction = Field(
+        description="how much, among right actions, coming nearer to the demonstrated path counts"
+    )
+    start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
+    end_spread_m: Positive = Field(description="how far a demonstration may end from the mean of all ends [m]")
+    end_spread_rad: Positive = Field(description="the same for its orientation, where that matters [rad]")
+    held_limit_rad: Positive = Field(description="turn from the goal up to which orientation counts as held [rad]")
+    paper: PaperSettings
+
+    def derive(self, demonstrations: Demonstrations) -> Derived:
+        """Return the task that demonstrations show.
+
+        The last ``holdout`` of them are put aside and shape nothing. Each of the others loses its idle ends
+        (:func:`koopdqn.demonstrations.idle.trimmed`) and its sensor noise
+        (:func:`koopdqn.demonstrations.smooth.smoothed`). The goal is the mean of their ends, and each is bent to
+        end there (:mod:`koopdqn.demonstrations.ends`). The nominal start is that of the demonstration that differs
+        least from all; starts are drawn beside all of theirs.
+
+        Raises:
+            BadInputError: too many are held out, nothing moves in one, the ends are too far apart, or a start
+                is at the goal.
+        """
+        kept = self.kept_of(len(demonstrations))
+        cut = [_cut(index, item) for index, item in enumerate(demonstrations.items)]
+        even = [smoothed(each.item) for each in cut]
+        learned, aside = even[: len(even) - kept], even[len(even) - kept :]
+        goal = ends.goal_of(learned)
+        spread = ends.check_position(learned, goal, self.end_spread_m)
+        shown = [item.poses for item in learned]
+        turning = self.turning or turning_of(shown, goal, self.held_limit_rad)
+        if turning != "free":
+            ends.check_orientation(learned, goal, self.end_spread_rad)
+        moved = [_oriented(ends.to_goal(item, goal), goal, turning) for item in learned]
+        task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
+        notes = (
+            _about_recordings(cut, even, kept),
+            _about_ends(task, spread),
+            _about_motion(task, largest_turn_from(shown, goal)),
+            *_ABOUT_ONE[: len(learned) == 1],
+        )
+        training = Demonstrations(self.name, demonstrations.arm, moved)
+        return Derived(task, training, tuple(_oriented(item, goal, turning) for item in aside), notes)
+
+    def kept_of(self, count: int) -> int:
+        """Return how many of ``count`` demonstrations are kept for evaluation.
+
+        Raises:
+            BadInputError: none would be left to learn from.
+        """
+        kept = min(1, count - 1) if self.holdout is None else self.holdout
+        if kept >= count:
+            raise BadInputError(
+                f"task.holdout must leave a demonstration to learn from, found {kept} of {count} held out"
+            )
+        return kept
+
+    def _task(self, training: Demonstrations, goal: Array, turning: Turning, kept: int) -> DemonstratedTask:
+        step = self.step_m or _step([item.poses for item in training.items])
+        turn = TURNS_PER_STEP * self.rotation_tolerance_rad
+        trajectories = [to_step(item.poses, step, turn) for item in training.items]
+        starts = np.array([trajectory[0] for trajectory in trajectories])
+        way = pose.position_distance(starts, goal)
+        if way.min() < _LEAST_WAY * self.goal_tolerance_m:
+            raise BadInputError(
+                f"demonstration {int(way.argmin())} must start at least {_LEAST_WAY * self.goal_tolerance_m:g} m from"
+                f" the goal, found {way.min():.4f} m: within task.goal_tolerance_m of it the task has ended"
+            )
+        start = starts[_middle_one(trajectories)]
+        half = np.abs(starts - start)[:, pose.POSITION].max(axis=0) + self.start_margin_m
+        return DemonstratedTask.shown(
+            trajectories,
+            name=self.name,
+            waypoints=(tuple(start[pose.POSITION].tolist()), tuple(goal[pose.POSITION].tolist())),
+            start_quaternion=tuple(start[pose.QUATERNION].tolist()),
+            goal_quaternion=tuple(goal[pose.QUATERNION].tolist()),
+            start_half_range_m=tuple(half.tolist()),
+            start_tilt_rad=0.0,
+            step_m=step,
+            position_tolerance_m=step / _STEP_PER_TOLERANCE,
+            rotation_tolerance_rad=self.rotation_tolerance_rad,
+            goal_tolerance_m=self.goal_tolerance_m,
+            goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
+            pull_back_m=self.pull_back_m,
+            modelled_pull_back_m=self.modelled_pull_back_m,
+            centring=self.centring,
+            variation_m=0.0,
+            least_clearance_m=0.0,
+            paper=self.paper,
+            turning=turning,
+            held_limit_rad=self.held_limit_rad,
+            start_margin_m=self.start_margin_m,
+            holdout=kept,
+            training=training.digest(),
+        )
+
+
+def _cut(index: int, item: Demonstration) -> Trimmed:
+    try:
+        return trimmed(item)
+    except BadInputError as error:
+        raise BadInputError(f"demonstration {index}: {error}") from error
+
+
+def _oriented(item: Demonstration, goal: Array, turning: Turning) -> Demonstration:
+    """Return a demonstration with the goal's orientation all along, unless the turn is learned."""
+    if turning == "geodesic":
+        return item
+    return Demonstration(item.times, pose.make(item.poses[:, pose.POSITION], goal[pose.QUATERNION]))
+
+
+def _step(trajectories: list[Array]) -> float:
+    length = float(np.median([arc_lengths(poses[:, pose.POSITION])[-1] for poses in trajectories]))
+    step = float(np.clip(_STEP_M, length / _MOST_STEPS, length / _FEWEST_STEPS))
+    return float(np.clip(step, _LEAST_STEP_M, _LARGEST_STEP_M))
+
+
+def _middle_one(trajectories: list[Array]) -> int:
+    """Return the index of the trajectory (N, 7) whose mean distance from all is least, share by share of the way."""
+    even = np.array([to_count(trajectory, 100)[:, pose.POSITION] for trajectory in trajectories])
+    apart = np.linalg.norm(even[:, None] - even[None], axis=3).mean(axis=(1, 2))
+    return int(apart.argmin())
+
+
+def _about_recordings(cut: list[Trimmed], even: list[Demonstration], kept: int) -> str:
+    noise = max(_taken_out(each.item, item) for each, item in zip(cut, even, strict=True))
+    before, after = (max(values) for values in zip(*((each.before, each.after) for each in cut), strict=True))
+    learned = len(even) - kept
+    return (
+        f"made from {learned} demonstration{'s' if learned > 1 else ''}, {kept or 'none'} kept for evaluation; idle"
+        f" ends cut off: up to {before:.2f} s before and {after:.2f} s after the motion; noise smoothed: up to"
+        f" {noise * 1e3:.2g} mm"
+    )
+
+
+def _taken_out(rough: Demonstration, even: Demonstration) -> float:
+    """Return the root mean square distance [m] of a recording from what smoothing made of it."""
+    there = at_arc_lengths(even.poses[:, pose.POSITION], even.times, rough.times)
+    return float(np.sqrt(((rough.poses[:, pose.POSITION] - there) ** 2).sum(axis=1).mean()))
+
+
+def _about_ends(task: DemonstratedTask, spread: float) -> str:
+    start, goal = (np.round(each[pose.POSITION], 4).tolist() for each in (task.nominal_start, task.goal))
+    half = [round(1e3 * value) for value in task.start_half_range_m]
+    return (
+        f"start: around {start} m, within ±{task.start_margin_m * 1e3:g} mm of a demonstrated one, together ±{half} mm;"
+        f" goal: {goal} m, the mean of ends up to {spread * 1e3:.1f} mm from it"
+    )
+
+
+def _about_motion(task: DemonstratedTask, turned: float) -> str:
+    meaning = {
+        "held": "held, as demonstrated",
+        "geodesic": "geodesic, the demonstrated turn to the goal is learned",
+        "free": "free, the goal's is kept and what was demonstrated left out",
+    }
+    steps = [len(trajectory) - 1 for trajectory in task.trajectories]
+    return (
+        f"step: {task.step_m * 1e3:.3g} mm, {min(steps)} to {max(steps)} a demonstration; orientation:"
+        f" {meaning[task.turning]} (demonstrated up to {np.degrees(turned):.1f}° from the goal's)"
+    )
+
+
+_ABOUT_ONE = ("one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated",)

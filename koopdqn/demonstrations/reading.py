@@ -1,0 +1,69 @@
+"""Demonstrations from whatever files the user names: HDF5 or CSV, one, several or a glob."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from koopdqn.demonstrations.csv import read_csv
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.errors import BadInputError
+
+_CSV = (".csv", ".tsv", ".txt")
+
+
+def files_of(sources: Sequence[str]) -> list[Path]:
+    """Return the files that sources name, each a path or a glob, in the order given; a glob's in natural order.
+
+    Raises:
+        BadInputError: a glob matches nothing, or a file is named twice.
+    """
+    found: list[Path] = []
+    for source in sources:
+        named = str(Path(source).expanduser())
+        # A file may have a bracket or an asterisk in its name.
+        path = Path(named)
+        if path.exists() or not any(sign in named for sign in "*?["):
+            paths = [path]
+        else:
+            folder = Path(path.anchor or ".")
+            paths = sorted(folder.glob(str(path.relative_to(path.anchor))), key=_natural)
+            if not paths:
+                raise BadInputError(f"demos: must name files, found none that match {source}")
+        found += paths
+    twice = sorted({str(path) for path in found if found.count(path) > 1})
+    if twice:
+        raise BadInputError(f"demos: must name every file once, found twice {twice[0]}")
+    return found
+
+
+def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: bool = False) -> Demonstrations:
+    """Return the demonstrations of all files that sources name (:func:`files_of`), one file after the other.
+
+    Files that end in .csv, .tsv or .txt are CSV, all others HDF5.
+
+    Args:
+        sources: paths or globs, at least one.
+        task: name of the task they are to be of; CSV files do not say.
+        arm: name of the arm, which CSV files do not say either.
+        any_task: whether HDF5 files of other tasks will do.
+
+    Raises:
+        BadInputError: a file is missing, damaged or of another task.
+    """
+    items: list[Demonstration] = []
+    for path in files_of(sources):
+        if path.suffix.lower() in _CSV:
+            items += read_csv(path)
+            continue
+        read = read_hdf5(path)
+        if not any_task and read.task != task:
+            raise BadInputError(f"demos {path}: must be of task {task}, found task {read.task}")
+        items += read.items
+        arm = read.arm
+    return Demonstrations(task, arm, items)
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Return a sort key by which demo_9 comes before demo_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]

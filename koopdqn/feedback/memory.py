@@ -1,0 +1,124 @@
+"""Answers remembered: what was said of an action at a pose holds for the same action nearby."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.config.settings import Settings
+from koopdqn.pose import Array
+
+
+class FeedbackSettings(Settings):
+    """What is made of answers beyond the reward of the action asked about."""
+
+    remember_m: float = Field(
+        ge=0, le=0.5, description="an answer holds for the same action within this distance of its pose; 0: nowhere [m]"
+    )
+    remember_rad: float = Field(gt=0, le=3.2, description="and within this angle of its orientation [rad]")
+    extend: bool = Field(description="let a yes extend the trust domain and, where it disagrees, the intent model")
+    reach: float = Field(
+        ge=0, le=1, description="radius of such an extension, in distances of the pose from the demonstrations' path"
+    )
+    least_reach_m: float = Field(gt=0, le=0.5, description="but at least this [m]")
+
+
+@dataclass
+class AnswerMemory:
+    """Answers by pose and action, in the order in which they were given.
+
+    Attributes:
+        settings: how far an answer holds.
+        numbers: of the answers, as the journal counts them.
+        poses: (7,) that were asked about.
+        actions: that were asked about.
+        reached: poses (7,) after them.
+        right: what was said.
+        agreed: whether the intent model had said the same.
+        contradictions: how often nothing was left that could have been right.
+    """
+
+    settings: FeedbackSettings
+    numbers: list[int] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    actions: list[int] = field(default_factory=list)
+    reached: list[Array] = field(default_factory=list)
+    right: list[bool] = field(default_factory=list)
+    agreed: list[bool] = field(default_factory=list)
+    contradictions: int = 0
+
+    def __len__(self) -> int:
+        """Return the number of answers held."""
+        return len(self.numbers)
+
+    def add(self, number: int, point: Array, action: int, reached: Array, *, right: bool, agreed: bool) -> None:
+        """Remember the answer of a number to a question about a pose (7,), an action and the pose it reached (7,)."""
+        for values, value in zip(self._columns(), (number, point, action, reached, right, agreed), strict=True):
+            values.append(value)
+
+    def recall(self, poses: Array, count: int) -> np.ndarray:
+        """Return which answer holds for each of ``count`` actions from poses (N, 7): its place (N, count), or −1.
+
+        The nearest decides, of equally near ones the latest.
+        """
+        found = np.full((len(poses), count), -1)
+        if not len(self) or self.settings.remember_m == 0.0:
+            return found
+        known, actions = np.array(self.poses), np.array(self.actions)
+        moved = pose.position_distance(poses[:, None], known[None])
+        turned = pose.rotation_distance(poses[:, None], known[None])
+        near = (moved <= self.settings.remember_m) & (turned <= self.settings.remember_rad)
+        for action in np.unique(actions[near.any(axis=0)]):
+            gap = np.where(near & (actions == action), moved, np.inf)[:, ::-1]
+            place = gap.shape[1] - 1 - gap.argmin(axis=1)
+            found[:, action] = np.where(np.isfinite(gap.min(axis=1)), place, -1)
+        return found
+
+    def extension(self) -> tuple[Array, Array, Array]:
+        """Return the poses (M, 7) of yeses, and (D, 7) before and after those that the model did not expect."""
+        yes = [i for i, right in enumerate(self.right) if right]
+        unexpected = [i for i in yes if not self.agreed[i]]
+        return _rows(self.poses, yes), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
+
+    def withdraw(self, numbers: set[int]) -> None:
+        """Forget the answers of these numbers."""
+        self._keep([number not in numbers for number in self.numbers])
+
+    def contradict(self, point: Array) -> None:
+        """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong."""
+        moved = [float(pose.position_distance(point, other)) for other in self.poses]
+        noes = [not right and gap <= self.settings.remember_m for right, gap in zip(self.right, moved, strict=True)]
+        if any(noes):
+            self.contradictions += 1
+            self._keep([not no for no in noes])
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything held, as arrays."""
+        return {
+            "numbers": np.array(self.numbers, dtype=np.int64),
+            "poses": _rows(self.poses, range(len(self))),
+            "actions": np.array(self.actions, dtype=np.int64),
+            "reached": _rows(self.reached, range(len(self))),
+            "right": np.array(self.right, dtype=np.bool_),
+            "agreed": np.array(self.agreed, dtype=np.bool_),
+            "contradictions": np.array(self.contradictions),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Hold what :meth:`state` returned."""
+        self.numbers, self.actions = state["numbers"].tolist(), state["actions"].tolist()
+        self.right, self.agreed = state["right"].tolist(), state["agreed"].tolist()
+        self.poses, self.reached = list(state["poses"]), list(state["reached"])
+        self.contradictions = int(state["contradictions"])
+
+    def _columns(self) -> tuple[list, ...]:  # type: ignore[type-arg]  # columns of different types
+        return self.numbers, self.poses, self.actions, self.reached, self.right, self.agreed
+
+    def _keep(self, kept: list[bool]) -> None:
+        for values in self._columns():
+            values[:] = [value for value, keep in zip(values, kept, strict=True) if keep]
+
+
+def _rows(values: list[Array], index: list[int] | range) -> Array:
+    return np.array([values[i] for i in index]).reshape(-1, 7)

@@ -1,0 +1,1 @@
+"""A person at a terminal teaches the arm: the screen, its picture, the keys."""

@@ -1,0 +1,120 @@
+"""The box: k standard deviations around the mean of every step, as the paper draws its trust domain (§3.4)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn.demonstrations.resample import to_count
+from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, components_of, no_balls
+from koopdqn.pose import Array
+from koopdqn.tasks.path import at_arc_lengths
+
+
+class BoxSettings(TrustSettings):
+    """How the boxes are drawn."""
+
+    matching: Literal["step", "any", "everywhere", "nowhere"] = Field(
+        description="compare with the demonstrations' same step (the paper) or with any of their steps; or, to see what"
+        " the domain is good for, trust everything or nothing"
+    )
+    sigmas: float = Field(gt=0, description="k: half the width of the domain, in standard deviations")
+    position_floor_m: float = Field(ge=0, description="least standard deviation of x, y, z [m]")
+    rotation_floor_rad: float = Field(ge=0, description="least standard deviation of roll, pitch, yaw [rad]")
+
+    def fit(self, trajectories: list[Array], errors: list[Array], frame: Array) -> TrustDomain:
+        """Return the domain of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
+
+        With matching by step, the statistics of step t are over the demonstrations that have a step t, as
+        in §3.4. Otherwise demonstrations are first aligned by their share of path travelled.
+        """
+        components = [components_of(trajectory, frame) for trajectory in trajectories]
+        padded = [np.concatenate([error, error[-1:]]) for error in errors]
+        longest = max(len(rows) for rows in components)
+        if self.matching != "step":
+            aligned = [components_of(to_count(trajectory, longest), frame) for trajectory in trajectories]
+            stack = np.array(aligned)
+            mean, deviation = stack.mean(axis=0), stack.std(axis=0)
+            share = np.linspace(0, 1, longest)
+            error = np.max([at_arc_lengths(e, np.linspace(0, 1, len(e)), share) for e in padded], axis=0)
+        else:
+            at_step = [[rows[t] for rows in components if t < len(rows)] for t in range(longest)]
+            mean = np.array([np.mean(rows, axis=0) for rows in at_step])
+            deviation = np.array([np.std(rows, axis=0) for rows in at_step])
+            error = np.array([np.max([e[t] for e in padded if t < len(e)], axis=0) for t in range(longest)])
+        floor = np.repeat([self.position_floor_m, self.rotation_floor_rad], 3)
+        return Box(self, error, self._no_balls(), frame, mean, np.maximum(deviation, floor))
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
+        """Return the domain whose arrays these are."""
+        return Box(self, arrays["error"], self._no_balls(), arrays["frame"], arrays["mean"], arrays["deviation"])
+
+    def _no_balls(self) -> Balls:
+        return no_balls(max(self.sigmas * self.rotation_floor_rad, 1e-3))
+
+
+@dataclass(frozen=True)
+class Box(TrustDomain):
+    """A box of k standard deviations around the mean of every step, less the steps where the model errs.
+
+    Roll, pitch and yaw are those of the rotation relative to a frame that keeps them from their singularity.
+
+    Attributes:
+        frame: (2, 4) that frame, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
+        mean: (T, 6) [m, rad] of x, y, z, roll, pitch, yaw at every step.
+        deviation: (T, 6) standard deviations, not below their floors.
+    """
+
+    settings: BoxSettings
+    frame: Array
+    mean: Array
+    deviation: Array
+
+    def shape(self) -> dict[str, np.ndarray]:
+        """Return frame, mean and deviation."""
+        return {"frame": self.frame, "mean": self.mean, "deviation": self.deviation}
+
+    def covers(self, poses: Array, steps: np.ndarray) -> np.ndarray:
+        """Return whether poses (N, 7) are in a box, under matching by step in that of their own step; (N,)."""
+        if self.settings.matching in ("everywhere", "nowhere"):
+            return np.full(len(poses), self.settings.matching == "everywhere")
+        rows = components_of(poses, self.frame)
+        width = self.settings.sigmas * self.deviation
+        known = self.known
+        if self.settings.matching == "step":
+            # Past the demonstrations' end it is their last.
+            index = np.minimum(steps, len(self.mean) - 1)
+            return np.asarray(np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1) & known[index])
+        inside = np.ones((len(rows), int(known.sum())), dtype=bool)
+        # One component at a time keeps the (N, T) temporaries small.
+        for i in range(rows.shape[1]):
+            inside &= np.abs(rows[:, i : i + 1] - self.mean[known, i]) <= width[known, i]
+        return np.asarray(inside.any(axis=1))
+
+    def depth(self, poses: Array) -> Array:
+        """Return how far poses (N, 7) are from the nearest box's middle, in half widths of the worst component."""
+        if self.settings.matching in ("everywhere", "nowhere"):
+            return np.full(len(poses), 0.0 if self.settings.matching == "everywhere" else np.inf)
+        rows = components_of(poses, self.frame)
+        return np.asarray(self._sigmas(rows).max(axis=2).min(axis=1) / self.settings.sigmas)
+
+    def reason(self, point: Array, step: int) -> str:
+        """Return which component of a pose (7,) is how far off, or how large the model's error is."""
+        if self.settings.matching == "nowhere":
+            return "nothing is trusted (trust.matching=nowhere)"
+        sigmas = self._sigmas(components_of(point[None], self.frame))[0]
+        nearest = min(step, len(self.mean) - 1)
+        if self.settings.matching != "step":
+            nearest = int(sigmas.max(axis=1).argmin())
+        worst = int(sigmas[nearest].argmax())
+        if sigmas[nearest, worst] > self.settings.sigmas:
+            name, far = COMPONENTS[worst], sigmas[nearest, worst]
+            return f"{name} is {far:.1f} standard deviations from the demonstrations (limit {self.settings.sigmas:g})"
+        return self.error_reason(nearest)
+
+    def _sigmas(self, rows: Array) -> Array:
+        """Return how many standard deviations rows (N, 6) are from the mean of every step, (N, T, 6)."""
+        gap = np.abs(rows[:, None] - self.mean)
+        return np.where(gap > 0, gap / np.where(self.deviation > 0, self.deviation, 1e-12), 0.0)

@@ -1,0 +1,116 @@
+"""What ``fit.json`` says beyond one-step errors: roll-outs, the trust domain's coverage, the paper's sampling."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.resample import to_count
+from koopdqn.intent.box import Box
+from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.tube import Tube
+from koopdqn.intent.validation import Fold, differences, sizes_of
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+_PAPER_SAMPLES = 60
+_PAPER_LARGEST_ERROR_M = 2.3e-3
+
+
+def roll_out_summary(folds: Sequence[Fold], task: Task) -> dict[str, Any] | None:
+    """Return how far models followed from the start of what they have not seen end from the goal, and pass from it."""
+    if not folds:
+        return None
+    rollouts = [_roll_out_error(fold.model, fold.held_out, task) for fold in folds]
+    finals, hausdorff = ([r[key] for r in rollouts] for key in ("final", "hausdorff"))
+    return {
+        "final": finals,
+        "hausdorff": hausdorff,
+        "median_hausdorff": float(np.median(hausdorff)),
+        "reached_goal": int(np.sum(np.array(finals) <= 5e-3)),
+    }
+
+
+def _roll_out_error(model: IntentModel, held_out: Array, task: Task) -> dict[str, float]:
+    steps = 2 * len(held_out)
+    path = model.roll_out(held_out[:1], steps, task.step_m)[:, 0, pose.POSITION]
+    target = held_out[:, pose.POSITION]
+    gap = np.linalg.norm(path[:, None] - target[None], axis=2)
+    final = float(np.linalg.norm(path[-1] - task.goal[pose.POSITION]))
+    hausdorff = float(max(gap.min(axis=1).max(), gap.min(axis=0).max()))
+    # A model that diverges ends far outside any workspace; JSON knows no infinity.
+    return {"final": min(final, 1e3), "hausdorff": min(hausdorff, 1e3)}
+
+
+def trust_summary(
+    domain: TrustDomain, trajectories: list[Array], sizes: list[Array], task: Task, fresh: list[Array]
+) -> dict[str, Any]:
+    """Return width and coverage of a trust domain.
+
+    Args:
+        domain: drawn from all demonstrations.
+        trajectories: their poses (N, 7).
+        sizes: (N − 1, 2) held-out errors [m, rad] that it was drawn with.
+        task: gives the frame of angles.
+        fresh: poses (N, 7) of demonstrations that nothing was fitted to.
+    """
+    settings, count = domain.settings, len(trajectories)
+    tube = domain if isinstance(domain, Tube) else None
+    shares, whole = [], []
+    for index, held_out in enumerate(trajectories if count > 1 else []):
+        others = [i for i in range(count) if i != index]
+        fold = TrustDomain.fit([trajectories[i] for i in others], [sizes[i] for i in others], task.frame, settings)
+        inside = fold.inside(held_out, np.arange(len(held_out)))
+        shares.append(float(inside.mean()))
+        whole.append(bool(inside.all()))
+    return {
+        "sigmas": domain.settings.sigmas if isinstance(domain, Box) else None,
+        "matching": domain.settings.matching if isinstance(domain, Box) else "any",
+        "nominal_coverage": settings.nominal(count),
+        "fresh": len(fresh),
+        "measured_coverage": path_coverage(domain, fresh) if fresh else None,
+        "radius_m": None if tube is None else float(np.median(tube.radius[:, 0])),
+        "largest_radius_m": None if tube is None else float(tube.radius[:, 0].max()),
+        "radius_rad": None if tube is None else float(np.median(tube.radius[:, 1])),
+        "spread_m": None if tube is None or count == 1 else float(np.median(tube.spread[:, 0])),
+        "known_share": float(domain.known.mean()),
+        "held_out_state_coverage": float(np.mean(shares)) if shares else None,
+        "held_out_path_coverage": float(np.mean(whole)) if whole else None,
+        "per_demonstration": shares or None,
+    }
+
+
+def path_coverage(domain: TrustDomain, trajectories: list[Array]) -> float:
+    """Return the share of pose trajectories (N, 7) that a domain's shape holds from end to end."""
+    return float(np.mean([bool((domain.distance(rows) <= 1.0).all()) for rows in trajectories]))
+
+
+def sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSettings) -> dict[str, float | None] | None:
+    """Return the held-out one-step errors at the paper's sampling, beside those of predicting no motion."""
+    if len(demonstrations) == 1:
+        return None
+    trajectories = [to_count(item.poses, _PAPER_SAMPLES) for item in demonstrations.items]
+    errors, motions = [], []
+    for index, held_out in enumerate(trajectories):
+        others = trajectories[:index] + trajectories[index + 1 :]
+        fold = next(iter(intent.alternatives(others, task).values()))
+        errors.append(sizes_of(differences(fold.predict(held_out[:-1]), held_out[1:])))
+        moved = pose.position_distance(held_out[1:], held_out[:-1])
+        motions.append(np.stack([moved, pose.rotation_distance(held_out[1:], held_out[:-1])], axis=1))
+    error, motion = np.concatenate(errors), np.concatenate(motions)
+    rms, persistence = (np.sqrt((rows**2).mean(axis=0)) for rows in (error, motion))
+    turns = task.orientation == "learned"
+    return {
+        "rms_m": float(rms[0]),
+        "persistence_rms_m": float(persistence[0]),
+        "rms_over_persistence": float(rms[0] / persistence[0]),
+        "max_m": float(error[:, 0].max()),
+        "paper_max_m": _PAPER_LARGEST_ERROR_M if task.name == "shelf" else None,
+        "rms_rad": float(rms[1]) if turns else None,
+        "persistence_rms_rad": float(persistence[1]) if turns else None,
+        "rms_over_persistence_rotation": float(rms[1] / persistence[1]) if turns else None,
+        "max_rad": float(error[:, 1].max()) if turns else None,
+    }

@@ -1,0 +1,209 @@
+"""The tube: a trust domain whose radius is calibrated to hold whole demonstrations left out of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.demonstrations.resample import to_count
+from koopdqn.intent.trust import TrustDomain, TrustSettings, no_balls, squared_distances
+from koopdqn.pose import Array
+from koopdqn.tasks.path import arc_lengths
+
+# Demonstrations needed to say how their spread changes along the path, one being left out.
+_LEAST_FOR_SPREAD = 3
+
+
+class TubeSettings(TrustSettings):
+    """How the tube is drawn."""
+
+    coverage: float = Field(
+        gt=0, lt=1, description="share of new demonstrations to hold from end to end; n demonstrations allow n/(n+1)"
+    )
+    spacing_m: float = Field(gt=0, description="between neighbouring places on the tube's middle [m]")
+    smoothing_m: float = Field(gt=0, description="path length over which the spread is averaged [m]")
+    floor_m: float = Field(gt=0, description="spread added to that of the demonstrations' positions [m]")
+    floor_rad: float = Field(gt=0, description="spread added to that of their orientations [rad]")
+    fixed_radius_m: float = Field(gt=0, description="radius around a single demonstration [m]")
+    fixed_radius_rad: float = Field(
+        gt=0, description="the same of its orientation; and that around the pose of an answer [rad]"
+    )
+
+    def rank(self, count: int) -> int:
+        """Return which of ``count`` ordered leave-one-out scores is the radius: the k-th covers k/(count + 1)."""
+        return min(count, int(np.ceil(self.coverage * (count + 1) - 1e-9)))
+
+    def fit(self, trajectories: list[Array], errors: list[Array], frame: Array) -> TrustDomain:
+        """Return the tube of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
+
+        Split conformal prediction (Vovk et al. 2005; Lei et al. 2018) with leave-one-out scores (Barber et al. 2021):
+        a demonstration's score is the largest distance of its states from the tube of the others, in the others'
+        spread; the radius is the score of the given rank times the spread of all.
+        """
+        middle = Middle.of(trajectories, self)
+        if len(trajectories) == 1:
+            radius = np.tile([self.fixed_radius_m, self.fixed_radius_rad], (len(middle.poses), 1))
+        else:
+            scores = []
+            for index, held_out in enumerate(trajectories):
+                others = Middle.of(trajectories[:index] + trajectories[index + 1 :], self, len(trajectories))
+                scores.append(float(others.distance(held_out).max()))
+            radius = float(np.sort(scores)[self.rank(len(scores)) - 1]) * middle.spread
+        error = np.zeros((len(middle.poses), 2))
+        for trajectory, found in zip(trajectories, errors, strict=True):
+            np.maximum.at(error, middle.nearest(trajectory[:-1]), found)
+        return Tube(self, error, no_balls(self.fixed_radius_rad), middle.poses, radius, middle.gap)
+
+    def nominal(self, count: int) -> float | None:
+        """Return the share of new demonstrations that a tube around ``count`` holds; None for a single one."""
+        return None if count == 1 else self.rank(count) / (count + 1)
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
+        """Return the domain whose arrays these are."""
+        balls = no_balls(self.fixed_radius_rad)
+        return Tube(self, arrays["error"], balls, arrays["middle"], arrays["radius"], arrays["spread"])
+
+
+@dataclass(frozen=True)
+class Middle:
+    """The mean of demonstrations, and how far they are from it.
+
+    Attributes:
+        poses: (S, 7) along the mean.
+        gap: (S, 2) [m, rad] root mean square distance of positions and orientations from it.
+        spread: (S, 2) the same averaged along the path, with its floor: the unit of scores.
+    """
+
+    poses: Array
+    gap: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, trajectories: list[Array], settings: TubeSettings, known: int | None = None) -> "Middle":
+        """Return the mean of pose trajectories (N, 7), aligned by the share of their path.
+
+        Args:
+            trajectories: demonstrated poses.
+            settings: spacing, smoothing and floors.
+            known: how many demonstrations there are, those left out included: of fewer than three the spread is
+                the same everywhere, since the one that is left says nothing of it.
+        """
+        length = float(np.mean([arc_lengths(rows[:, pose.POSITION])[-1] for rows in trajectories]))
+        count = max(2, int(np.ceil(length / settings.spacing_m)) + 1)
+        aligned = np.array([to_count(rows, count) for rows in trajectories])
+        turns = aligned[..., pose.QUATERNION]
+        # q and −q are the same rotation.
+        turns = turns * np.where((turns * turns[0]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
+        poses = pose.make(aligned[..., pose.POSITION].mean(axis=0), pose.normalized(turns.mean(axis=0)))
+        gaps = np.array([_gaps(poses, rows) for rows in trajectories])
+        variance = (gaps**2).sum(axis=0) / max(1, len(trajectories) - 1)
+        floor = np.array([settings.floor_m, settings.floor_rad])
+        if (len(trajectories) if known is None else known) < _LEAST_FOR_SPREAD:
+            return cls(poses, np.sqrt(variance), np.tile(floor, (count, 1)))
+        window = max(1, round(settings.smoothing_m / settings.spacing_m))
+        return cls(poses, np.sqrt(variance), np.sqrt(_moving_mean(variance, window) + floor**2))
+
+    def distance(self, poses: Array) -> Array:
+        """Return the distances (N,) of poses (N, 7) in spreads: at the best place, the larger of its two."""
+        return np.asarray(scaled_distances(poses, self.poses, self.spread).min(axis=1))
+
+    def nearest(self, poses: Array) -> np.ndarray:
+        """Return the place (N,) nearest to each position of poses (N, 7)."""
+        squared = squared_distances(poses[:, pose.POSITION], self.poses[:, pose.POSITION])
+        return np.asarray(squared.argmin(axis=1))
+
+
+@dataclass(frozen=True)
+class Tube(TrustDomain):
+    """Balls along the demonstrations' mean, as wide as calibrated, less those where the model errs.
+
+    A state is trusted if, at some place, position and orientation are both within their radii and the model's
+    held-out error at the place nearest to it is within its limits.
+
+    Attributes:
+        middle: (S, 7) poses along the mean.
+        radius: (S, 2) [m, rad] of positions and of orientations.
+        spread: (S, 2) [m, rad] root mean square distance of the demonstrations from the mean.
+    """
+
+    settings: TubeSettings
+    middle: Array
+    radius: Array
+    spread: Array
+
+    def shape(self) -> dict[str, np.ndarray]:
+        """Return middle, radius and spread."""
+        return {"middle": self.middle, "radius": self.radius, "spread": self.spread}
+
+    def covers(self, poses: Array, steps: np.ndarray) -> np.ndarray:
+        """Return whether poses (N, 7) are in the tube where the model does not err, (N,); steps do not matter."""
+        squared = squared_distances(poses[:, pose.POSITION], self.middle[:, pose.POSITION])
+        cosine = np.abs(poses[:, pose.QUATERNION] @ self.middle[:, pose.QUATERNION].T)
+        limit, least = self._limits_squared
+        within = ((squared <= limit) & (cosine >= least)).any(axis=1)
+        known = self._known
+        return np.asarray(within if known is None else within & known[squared.argmin(axis=1)])
+
+    @cached_property
+    def _limits_squared(self) -> tuple[Array, Array]:
+        half = np.minimum(0.5 * self.radius[:, 1], 0.5 * np.pi)
+        return self.radius[:, 0] ** 2, np.cos(half)
+
+    @cached_property
+    def _known(self) -> np.ndarray | None:
+        known = self.known
+        return None if known.all() else known
+
+    def depth(self, poses: Array) -> Array:
+        """Return how far poses (N, 7) are from the middle in radii, (N,)."""
+        return np.asarray(scaled_distances(poses, self.middle, self.radius).min(axis=1))
+
+    def reason(self, point: Array, step: int) -> str:
+        """Return how far a pose (7,) is from the tube, or how large the model's error is."""
+        far = scaled_distances(point[None], self.middle, self.radius)[0]
+        place = int(far.argmin())
+        if far[place] > 1.0:
+            radius, turn = self.radius[place]
+            moved = float(pose.position_distance(point, self.middle[place]))
+            turned = float(pose.rotation_distance(point, self.middle[place]))
+            if moved / radius >= turned / turn:
+                return f"position is {moved * 1e3:.1f} mm from the demonstrations' mean (tube {radius * 1e3:.1f} mm)"
+            return f"orientation is {np.degrees(turned):.1f}° from the demonstrations' (tube {np.degrees(turn):.1f}°)"
+        squared = squared_distances(point[None, pose.POSITION], self.middle[:, pose.POSITION])
+        return self.error_reason(int(squared[0].argmin()))
+
+
+def scaled_distances(poses: Array, places: Array, unit: Array) -> Array:
+    """Return the distances (N, S) of poses (N, 7) from places (S, 7): the larger of position and orientation.
+
+    Each is in its own unit, (S, 2) [m, rad] of the place.
+    """
+    moved = np.sqrt(squared_distances(poses[:, pose.POSITION], places[:, pose.POSITION])) / unit[:, 0]
+    cosine = np.clip(np.abs(poses[:, pose.QUATERNION] @ places[:, pose.QUATERNION].T), 0.0, 1.0)
+    return np.asarray(np.maximum(moved, 2.0 * np.arccos(cosine) / unit[:, 1]))
+
+
+def _gaps(poses: Array, rows: Array) -> Array:
+    """Return the distances (S, 2) [m, rad] between a mean (S, 7) and a demonstration (N, 7), at every place.
+
+    The larger of two: from the place to the demonstration, and from those of its states that are nearest to the
+    place; so that neither a demonstration that starts before the mean nor one that leaves it goes unseen.
+    """
+    squared = squared_distances(poses[:, pose.POSITION], rows[:, pose.POSITION])
+    there, here = squared.argmin(axis=1), squared.argmin(axis=0)
+    moved = np.sqrt(squared.min(axis=1))
+    turned = pose.rotation_distance(poses, rows[there])
+    np.maximum.at(moved, here, np.sqrt(squared.min(axis=0)))
+    np.maximum.at(turned, here, pose.rotation_distance(poses[here], rows))
+    return np.stack([moved, turned], axis=1)
+
+
+def _moving_mean(values: Array, window: int) -> Array:
+    """Return values (S, 2) averaged over ``window`` neighbours to either side, as many as there are."""
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(values, axis=0)])
+    index = np.arange(len(values))
+    low, high = np.maximum(index - window, 0), np.minimum(index + window + 1, len(values))
+    return np.asarray((total[high] - total[low]) / (high - low)[:, None])

@@ -1,0 +1,113 @@
+"""A task that demonstrations alone define: their starts, their goal, and going on as they did."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field, PrivateAttr
+
+from koopdqn import pose
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.schema import Sha256
+from koopdqn.tasks.demonstrated_law import DemonstratedLaw
+from koopdqn.tasks.law import Law
+from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.task import TURNS_PER_STEP, Task
+
+if TYPE_CHECKING:
+    from koopdqn.robot.scene import SceneBuilder
+
+Turning = Literal["held", "geodesic", "free"]
+"""What a task made from demonstrations does with orientation."""
+
+# A start this many goal tolerances from the goal is no start; the region may hold the goal where starts spread wide.
+_CLEAR_OF_GOAL = 3.0
+
+
+class DemonstratedTask(Task):
+    """The arm alone in the arena does what training demonstrations showed.
+
+    Its fields say all that artifacts need to tell one such task from another; the demonstrations themselves are
+    not among them and are given by :meth:`shown`.
+    """
+
+    turning: Turning = Field(
+        description="held: the goal's orientation all the way, as demonstrated; geodesic: the demonstrated turn is"
+        " learned; free: orientation was demonstrated but is no part of the task, and the goal's is kept"
+    )
+    held_limit_rad: float = Field(gt=0, description="turn away from the goal that breaks the rule, where held [rad]")
+    start_margin_m: float = Field(gt=0, description="how far a start lies from a demonstrated one, along each axis [m]")
+    holdout: int = Field(ge=0, description="demonstrations kept for evaluation")
+    training: Sha256 = Field(description="of the training demonstrations' content")
+
+    _trajectories: tuple[Array, ...] = PrivateAttr(default=())
+
+    @classmethod
+    def shown(cls, trajectories: list[Array], **fields: object) -> "DemonstratedTask":
+        """Return the task that fields describe, with its training trajectories (N, 7) at the agent's step.
+
+        Raises:
+            ValidationError: a field breaks a rule.
+        """
+        task = cls.model_validate(fields)
+        task._trajectories = tuple(trajectories)
+        return task
+
+    @property
+    def trajectories(self) -> tuple[Array, ...]:
+        """The training demonstrations' poses (N, 7) each, at the agent's step.
+
+        Raises:
+            BadInputError: the task was read from an artifact, which does not hold them.
+        """
+        if not self._trajectories:
+            raise BadInputError(f"task {self.name}: must come with its demonstrations, found their digest alone")
+        return self._trajectories
+
+    @property
+    def orientation(self) -> Literal["held", "learned"]:
+        """Learned where the demonstrated turn goes along the geodesic to the goal."""
+        return "learned" if self.turning == "geodesic" else "held"
+
+    @property
+    def rule(self) -> str:
+        """The orientation rule, if there is one."""
+        if self.turning == "held":
+            return f"orientation stays within {np.degrees(self.held_limit_rad):.2g}° of the goal's"
+        return "none"
+
+    def rule_broken(self, poses: Array) -> np.ndarray:
+        """Return whether orientation strays at each pose (N, 7) of a task that holds it, as booleans (N,)."""
+        if self.turning != "held":
+            return np.zeros(len(poses), dtype=bool)
+        return np.asarray(pose.rotation_distance(poses, self.goal) > self.held_limit_rad)
+
+    def furnish(self, scene: "SceneBuilder") -> None:
+        """Add nothing: demonstrations do not tell what stands around the arm."""
+
+    @cached_property
+    def nominal_path(self) -> SmoothPath:
+        """The training demonstration that begins at the nominal start."""
+        nearest = min(self.trajectories, key=lambda each: float(pose.position_distance(each[0], self.nominal_start)))
+        return SmoothPath.along(nearest[:, pose.POSITION])
+
+    @cached_property
+    def demonstrator(self) -> Law:
+        """The law of the training demonstrations: go on as the nearest one was going."""
+        largest_turn = TURNS_PER_STEP * self.rotation_tolerance_rad if self.turning == "geodesic" else 0.0
+        return DemonstratedLaw.of(self.trajectories, self.goal, self.step_m, self.pull_back_m, largest_turn)
+
+    def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Return ``count`` poses (count, 7), each beside the start of a training demonstration drawn evenly.
+
+        Orientation is that start's. Draws within a few tolerances of the goal are drawn again.
+        """
+        starts = np.array([trajectory[0] for trajectory in self.trajectories])
+        drawn: list[Array] = []
+        while len(drawn) < count:
+            start = starts[rng.integers(len(starts))].copy()
+            start[pose.POSITION] += rng.uniform(-self.start_margin_m, self.start_margin_m, 3)
+            if pose.position_distance(start, self.goal) > _CLEAR_OF_GOAL * self.goal_tolerance_m:
+                drawn.append(start)
+        return np.array(drawn)

@@ -1,0 +1,173 @@
+"""Feedback in training: what is asked, what answers teach, and what follows when they are withdrawn."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.dqn.replay import ReplayBuffer
+from koopdqn.environment.actions import COUNT
+from koopdqn.environment.reward import REMEMBERED, TRUSTED, IntentReward, Judgement
+from koopdqn.feedback.memory import AnswerMemory, FeedbackSettings
+from koopdqn.feedback.oracle import Answer, Oracle, Question
+from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.pose import Array
+
+_TOGETHER = 1024
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How many questions may be asked, and what happens then.
+
+    Attributes:
+        most: questions; None for no limit.
+        when_spent: stop training, give no reward where the model is not trusted, or ask the scripted oracle.
+    """
+
+    most: int | None = None
+    when_spent: Literal["stop", "distrust", "scripted"] = "stop"
+
+
+class Feedback:
+    """The reward function together with what answers have taught.
+
+    Attributes:
+        reward: the reward function, extended by the answers so far.
+        memory: the answers.
+        questions: questions that reached the oracle.
+        substituted: questions that the scripted oracle answered because the budget was spent.
+        recomputed: rewards in the replay buffer that were recomputed.
+    """
+
+    def __init__(self, reward: IntentReward, oracle: Oracle, settings: FeedbackSettings, budget: Budget) -> None:
+        """Begin without answers."""
+        self.reward = reward
+        self.memory = AnswerMemory(settings)
+        self.questions = 0
+        self.substituted = 0
+        self.recomputed = 0
+        self._base = reward
+        self._oracle = oracle
+        self._settings = settings
+        self._budget = budget
+        self._substitute = ScriptedOracle(reward.task)
+
+    @property
+    def spent(self) -> bool:
+        """Whether no further question may be asked."""
+        return self._budget.most is not None and self.questions >= self._budget.most
+
+    @property
+    def stopped(self) -> bool:
+        """Whether training is over because the budget is spent."""
+        return self.spent and self._budget.when_spent == "stop"
+
+    def judge(self, poses: Array, steps: np.ndarray) -> Judgement:
+        """Return what is known without asking, answers included; see :meth:`IntentReward.judge`."""
+        judgement = self.reward.judge(poses, steps)
+        places = self.memory.recall(poses, COUNT)
+        # Near a boundary between right and wrong an answer holds no farther than the model's own opinion, unless it
+        # was the model that was wrong.
+        agreed, right = np.array([*self.memory.agreed, False]), np.array([*self.memory.right, False])
+        holds = ((judgement.margin >= 0) == right[places]) | ~agreed[places]
+        recalled = (places >= 0) & ~judgement.known & holds
+        for index, action in np.argwhere(recalled):
+            place = places[index, action]
+            right = self.memory.right[place]
+            judgement.reward[index, action] = self.reward.value(right, bool(judgement.at_goal[index, action]))
+            judgement.source[index, action] = REMEMBERED
+            judgement.answer[index, action] = self.memory.numbers[place]
+        judgement.known[recalled] = True
+        return judgement
+
+    def ask(self, question: Question, judgement: Judgement, index: int, replay: ReplayBuffer) -> bool | None:
+        """Ask whether an action was right, and learn from the answer; None if there is none.
+
+        Raises:
+            PauseRequested: who answers wants to go on another time.
+        """
+        if self.spent:
+            if self._budget.when_spent != "scripted":
+                return None
+            self.substituted += 1
+            return self._substitute.answer(question).right
+        left = None if self._budget.most is None else self._budget.most - self.questions
+        number = self.questions
+        answer = self._oracle.answer(replace(question, left=left))
+        self.questions += 1
+        if answer.undo:
+            self._withdraw(answer.undo, replay)
+        self._learn(number, question, answer, judgement, index, replay)
+        judgement.answer[index, question.action] = number
+        return answer.right
+
+    def _learn(
+        self, number: int, question: Question, answer: Answer, judgement: Judgement, index: int, replay: ReplayBuffer
+    ) -> None:
+        said = [] if answer.right is None else [(question.action, answer.right)]
+        if answer.better is not None and answer.better != question.action:
+            said.append((answer.better, True))
+        for action, right in said:
+            agreed = bool(judgement.margin[index, action] >= 0) == right
+            reached = judgement.reached[index, action].copy()
+            self.memory.add(number, question.pose, action, reached, right=right, agreed=agreed)
+            if right and self._settings.extend:
+                self._extend()
+                if not agreed:
+                    self._recompute(question.pose[None], replay)
+
+    def _extend(self) -> None:
+        yeses, before, after = self.memory.extension()
+        self.reward = self._base.extended(yeses, self._radii(yeses), before, after)
+
+    def _radii(self, poses: Array) -> Array:
+        aside = self._base.path.distance(poses[:, pose.POSITION]) if len(poses) else np.zeros(0)
+        return np.maximum(self._settings.least_reach_m, self._settings.reach * aside)
+
+    def _withdraw(self, count: int, replay: ReplayBuffer) -> None:
+        latest = sorted(set(self.memory.numbers))[-count:]
+        gone = set(latest)
+        poses = np.array(
+            [point for number, point in zip(self.memory.numbers, self.memory.poses, strict=True) if number in gone]
+        )
+        self.memory.withdraw(gone)
+        replay.remove(np.isin(replay.held().answers, latest))
+        if self._settings.extend and len(poses):
+            self._extend()
+            self._recompute(poses, replay)
+
+    def _recompute(self, poses: Array, replay: ReplayBuffer) -> None:
+        """Give the trusted rewards near poses (M, 7) their present values; what is trusted no more is taken out."""
+        held = replay.held()
+        far = np.maximum(self._radii(poses), 2.0 * self.reward.model.reach)
+        moved = np.linalg.norm(held.poses[:, None, :3] - poses[None, :, :3], axis=2)
+        rows = np.flatnonzero((held.sources == TRUSTED) & (moved <= far).any(axis=1))
+        lost = np.zeros(len(replay), dtype=bool)
+        for begin in range(0, len(rows), _TOGETHER):
+            part = rows[begin : begin + _TOGETHER]
+            judged = self.reward.judge(held.poses[part], held.steps[part])
+            each = np.arange(len(part)), held.actions[part]
+            rewards = judged.reward[each].astype(np.float32)
+            replay.revalue(part, rewards, judged.at_goal[each])
+            lost[part] = ~judged.known[each]
+        self.recomputed += len(rows)
+        if lost.any():
+            replay.remove(lost)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything held, as arrays."""
+        counters = {name: np.array(getattr(self, name)) for name in _COUNTERS}
+        return {**self.memory.state(), **counters}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Hold what :meth:`state` returned."""
+        self.memory.restore(state)
+        for name in _COUNTERS:
+            setattr(self, name, int(state[name]))
+        if self._settings.extend:
+            self._extend()
+
+
+_COUNTERS = ("questions", "substituted", "recomputed")

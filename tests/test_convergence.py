@@ -1,0 +1,30 @@
+from parts import Parts
+
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.intent.convergence import convergence
+from koopdqn.intent.fitting import Fitted, fit
+from koopdqn.intent.validation import cross_validate
+from koopdqn.pose import Array
+
+
+def test_the_default_model_comes_to_the_goal_even_from_wide_starts(fitted: Fitted) -> None:
+    assert fitted.report["converges"]
+    assert fitted.report["converging_share"] == 1.0
+    assert fitted.report["converging_share_wide"] >= 0.95
+
+
+def test_the_papers_model_is_said_not_to_converge(
+    demonstrations: Demonstrations, paper: Parts, trajectories: list[Array], fitted: Fitted
+) -> None:
+    report = fit(demonstrations, paper.task, paper.intent, paper.trust).report
+    assert not report["converges"]
+    model = paper.intent.fit(trajectories, paper.task)
+    assert convergence(model, fitted.trust, trajectories, paper.task).demonstrated < 1.0
+
+
+def test_the_ridge_is_the_one_of_least_multi_step_error(trajectories: list[Array], parts: Parts) -> None:
+    hopeless = parts.intent.model_copy(update={"ridge": (1e3, 1e-6)})
+    found = cross_validate(trajectories[:3], parts.task, hopeless)
+    assert found.ridge == 1e-6
+    assert found.multi_step[1e3] > 2 * found.multi_step[1e-6]
+    assert len(found.folds) == 3

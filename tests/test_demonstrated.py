@@ -1,0 +1,196 @@
+"""The task made from demonstrations: what is derived, its law, its starts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import load_parts
+
+from koopdqn import pose
+from koopdqn.artifact import described
+from koopdqn.config.settings import load_settings
+from koopdqn.demonstrations.derivation import Derived
+from koopdqn.demonstrations.generator import generate
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.tasks.demonstrated_law import DemonstratedLaw
+from koopdqn.tasks.task import Task
+
+RECIPE = derivation()
+
+
+def three() -> Derived:
+    return RECIPE.derive(shown(*(recorded(arc(offset), idle=40) for offset in (0.0, 0.02, 0.04))))
+
+
+def turned_by(poses: Array, angle: float) -> Array:
+    """Return poses (N, 7) that turn evenly by an angle [rad] about x, to the orientation they have."""
+    left = np.linspace(angle, 0.0, len(poses))[:, None] * [1.0, 0.0, 0.0]
+    return pose.make(poses[:, :3], pose.multiply(poses[:, 3:], pose.from_rotation_vector(left)))
+
+
+def test_the_last_demonstration_shapes_nothing() -> None:
+    derived = three()
+    alone = RECIPE.model_copy(update={"holdout": 0}).derive(
+        shown(recorded(arc(), idle=40), recorded(arc(0.02), idle=40))
+    )
+    assert len(derived.training) == 2
+    assert len(derived.held_out) == 1
+    assert derived.training.digest() == alone.training.digest()
+    np.testing.assert_allclose(derived.held_out[0].poses[0, :3], arc(0.04)[0, :3], atol=1e-4)
+
+
+def test_start_goal_step_and_rule_are_those_shown() -> None:
+    task = three().task
+    np.testing.assert_allclose(task.goal[:3], arc()[-1, :3], atol=1e-4)
+    assert task.turning == "held"
+    assert task.orientation == "held"
+    assert task.step_m == 0.0021
+    assert not task.rule_broken(arc()).any()
+    assert task.rule_broken(turned_by(arc(), 0.5))[:10].all()
+
+
+def test_one_demonstration_is_enough_and_said_to_be_one() -> None:
+    derived = RECIPE.derive(shown(recorded(arc())))
+    assert derived.held_out == ()
+    assert any("one demonstration" in note for note in derived.notes)
+    assert not any("one demonstration" in note for note in three().notes)
+
+
+@pytest.mark.parametrize("holdout", [1, 5])
+def test_something_must_be_left_to_learn_from(holdout: int) -> None:
+    with pytest.raises(BadInputError, match=rf"task.holdout .* found {holdout} of 1"):
+        RECIPE.model_copy(update={"holdout": holdout}).derive(shown(recorded(arc())))
+
+
+def test_orientation_is_told_apart() -> None:
+    wobble = arc()
+    wobble[:, 3:] = pose.multiply(
+        HORIZONTAL, pose.from_rotation_vector(0.3 * np.sin(np.linspace(0, 9, 200))[:, None] * [0.0, 1.0, 0.0])
+    )
+    found = {
+        name: RECIPE.derive(shown(recorded(poses))).task
+        for name, poses in (("held", arc()), ("geodesic", turned_by(arc(), 1.5)), ("free", wobble))
+    }
+    assert {name: task.turning for name, task in found.items()} == {name: name for name in found}
+    assert found["geodesic"].orientation == "learned"
+    assert not found["free"].rule_broken(wobble).any()
+
+
+def test_the_turn_of_the_knife_is_learned_from_its_demonstrations() -> None:
+    from hydra import compose, initialize_config_dir
+
+    from koopdqn.config.resources import conf_dir
+    from koopdqn.workcell import open_workcell
+
+    parts = load_parts()
+
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        knife = load_settings(compose("config", overrides=["task=knife"]).task, Task, "task")
+    cell = open_workcell(knife, parts.arm)
+    made = generate(knife, cell.reachability, parts.demo.model_copy(update={"count": 2}), seed=0).demonstrations
+    task = RECIPE.derive(made).task
+    assert task.turning == "geodesic"
+    assert pose.position_distance(task.goal, knife.goal) < 0.002
+    path = task.demonstrator.roll_out(task.trajectories[0][0], 800)
+    assert pose.rotation_distance(path[-1], task.goal) < 1e-6
+    assert pose.position_distance(path[-1], task.goal) < 1e-6
+
+
+def test_starts_lie_beside_demonstrated_ones_and_off_the_goal() -> None:
+    task = three().task
+    drawn = task.draw_starts(np.random.default_rng(0), 200)
+    starts = np.array([trajectory[0] for trajectory in task.trajectories])
+    apart = np.abs(drawn[:, None, :3] - starts[None, :, :3]).max(axis=2).min(axis=1)
+    assert apart.max() <= task.start_margin_m
+    assert pose.position_distance(drawn, task.goal).min() > task.goal_tolerance_m
+    assert np.all(np.abs(drawn[:, :3] - task.nominal_start[:3]) <= np.array(task.start_half_range_m) + 1e-12)
+
+
+def test_a_demonstration_that_begins_at_the_goal_is_refused() -> None:
+    there_and_back = np.concatenate([arc(), arc()[::-1]])
+    with pytest.raises(BadInputError, match=r"demonstration 0 must start at least 0\.02 m from the goal"):
+        RECIPE.derive(shown(recorded(there_and_back)))
+
+
+def test_ends_far_apart_are_refused() -> None:
+    moved = arc()
+    moved[:, 1] += 0.3
+    with pytest.raises(BadInputError, match="share their goal"):
+        RECIPE.derive(shown(recorded(arc()), recorded(moved), recorded(arc())))
+
+
+def test_artifacts_hold_the_task_without_its_demonstrations() -> None:
+    task = three().task
+    node = described(task)
+    assert len(str(node)) < 2000
+    read = load_settings(node, Task, "task")
+    assert described(read) == node
+    with pytest.raises(BadInputError, match="must come with its demonstrations"):
+        read.demonstrator  # noqa: B018 (the property raises)
+    other = RECIPE.derive(shown(recorded(arc(0.001)), recorded(arc(0.02)))).task
+    assert described(other) != node
+
+
+def test_a_short_demonstration_has_a_shorter_step() -> None:
+    small = arc()
+    small[:, :3] = small[-1, :3] + 0.2 * (small[:, :3] - small[-1, :3])
+    task = RECIPE.derive(shown(recorded(small))).task
+    assert task.step_m < 0.0021
+    assert 1.0 < task.step_m / task.position_tolerance_m <= 1.087
+
+
+@settings(max_examples=20)
+@given(
+    index=st.integers(0, 120),
+    demonstration=st.integers(0, 1),
+    offset=st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=3),
+)
+def test_the_law_comes_to_the_goal_along_a_demonstration(index: int, demonstration: int, offset: list[float]) -> None:
+    task = LAW_TASK
+    start = task.trajectories[demonstration][index].copy()
+    start[:3] += offset
+    path = task.demonstrator.roll_out(start, 500)
+    assert pose.position_distance(path[-1], task.goal) < 1e-6
+    assert np.all(pose.position_distance(path[1:], path[:-1]) <= task.step_m * (1 + 1e-9))
+    points = np.concatenate([trajectory[:, :3] for trajectory in task.trajectories])
+    gap = np.linalg.norm(path[:, None, :3] - points[None], axis=2).min(axis=1)
+    # After some look-ahead distances on the way the offset has died out.
+    settled = int(6 * task.pull_back_m / task.step_m) + int(2 * np.linalg.norm(offset) / task.step_m)
+    assert gap[settled:].max(initial=0.0) < 0.0025
+
+
+LAW_TASK = three().task
+
+
+def test_the_law_ends_although_its_path_crosses_itself() -> None:
+    angle = np.linspace(0.0, 1.75 * np.pi, 300)
+    loop = np.stack([np.full(300, 0.45), 0.1 * np.sin(2 * angle), 0.35 + 0.1 * np.sin(angle)], axis=1)
+    poses = pose.make(loop, HORIZONTAL)
+    law = DemonstratedLaw.of([poses], poses[-1], 0.0021, 0.01, 0.0)
+    path = law.roll_out(poses[0], 2000)
+    assert pose.position_distance(path[-1], poses[-1]) < 1e-6
+
+
+def test_turning_in_place_is_followed() -> None:
+    moved = turned_by(arc(count=100), 0.0)
+    still = np.repeat(moved[-1:], 60, axis=0)
+    before = turned_by(still, 1.0)
+    moved[:, 3:] = before[0, 3:]
+    poses = np.concatenate([moved, before])[1::2]
+    law = DemonstratedLaw.of([poses], poses[-1], 0.0063, 0.01, 0.05)
+    path = law.roll_out(poses[0], 500)
+    assert pose.rotation_distance(path[-1], poses[-1]) < 1e-6
+    arrived = int((pose.position_distance(path, poses[-1]) < 0.01).argmax())
+    assert pose.rotation_distance(path[arrived], poses[-1]) > 0.8
+
+
+def test_held_out_demonstrations_keep_their_own_end() -> None:
+    moved = arc()
+    moved[:, 1] += 0.01
+    derived = RECIPE.derive(shown(recorded(arc()), recorded(arc()), recorded(moved)))
+    assert pose.position_distance(derived.held_out[0].poses[-1], derived.task.goal) == pytest.approx(0.01, abs=1e-4)
+    assert replace(derived, notes=()).task is derived.task

@@ -1,0 +1,92 @@
+"""A person's own files on the command line: import, export, and tasks made from them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_shown import arc, recorded
+
+from koopdqn import cli
+from koopdqn.demonstrations.csv import read_csv, write_csv
+from koopdqn.demonstrations.hdf5 import read_hdf5
+
+
+@pytest.fixture
+def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with three logs of one motion."""
+    monkeypatch.chdir(tmp_path)
+    for index in range(3):
+        write_csv(tmp_path / f"log_{index}.csv", [recorded(arc(0.01 * index), idle=20)])
+    return tmp_path
+
+
+Printed = Callable[..., dict[str, object]]
+
+
+@pytest.fixture
+def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
+    def run(*arguments: str) -> dict[str, object]:
+        assert cli.main([*arguments, "--json"]) == 0, capsys.readouterr().err
+        found = json.loads(capsys.readouterr().out)
+        assert isinstance(found, dict)
+        return found
+
+    return run
+
+
+def test_import_keeps_every_sample_and_export_gives_it_back(logs: Path, printed: Printed) -> None:
+    result = printed("import", "demos=log_*.csv", "out=mine")
+    assert result["demonstrations"] == 3
+    assert result["reachable"] == [True, True, True]
+    assert np.all(np.array(result["idle_before_seconds"]) >= 0.39)
+    kept = read_hdf5(logs / "mine" / "demos.hdf5")
+    assert kept.task == "demonstrated"
+    printed("export", "demos=mine/demos.hdf5", "out=back", "export.rotation=quaternion")
+    for index, item in enumerate(read_csv(logs / "back" / "demos.csv")):
+        np.testing.assert_array_equal(item.poses, read_csv(logs / f"log_{index}.csv")[0].poses)
+
+
+def test_several_files_may_be_named_in_brackets(logs: Path, printed: Printed) -> None:
+    assert printed("import", "demos=[log_2.csv,log_0.csv]", "out=two")["demonstrations"] == 2
+    assert printed("import", "demos=[log_1.csv]", "out=one")["demonstrations"] == 1
+
+
+@pytest.mark.parametrize("command", ["fit", "train", "import", "export"])
+def test_without_files_there_is_nothing_to_do(logs: Path, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([command, "task=demonstrated"]) == 2
+    error = capsys.readouterr().err
+    assert "demos: must name the files" in error
+    assert "found none" in error
+    assert error.count("\n") == 1
+
+
+def test_such_a_task_cannot_be_demonstrated_by_script(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["demo", "task=demonstrated"]) == 2
+    assert "valid: knife, shelf" in capsys.readouterr().err
+
+
+def test_fit_says_what_it_found_and_holds_the_last_out(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = ("intent.observables.count=40", "intent.stabilisation.copies=1")
+    assert cli.main(["fit", "task=demonstrated", "demos=log_*.csv", "out=fitted", *short]) == 0
+    found = capsys.readouterr()
+    for word in ("made from 2 demonstrations, 1 kept for evaluation", "start: around", "goal:", "step: 2.1 mm", "held"):
+        assert word in found.err
+    assert "kept for evaluation, rolled out" in found.out
+    assert read_hdf5(logs / "fitted" / "demos.hdf5").held_out == 1
+    assert json.loads((logs / "fitted" / "fit.json").read_text())["demonstrations"] == 2
+    # The folder stands alone: the same is fitted to what it keeps.
+    assert cli.main(["fit", "task=demonstrated", "demos=fitted/demos.hdf5", "out=again", *short]) == 0
+    assert (logs / "again" / "intent.npz").read_bytes() == (logs / "fitted" / "intent.npz").read_bytes()
+
+
+def test_training_and_evaluation_from_a_single_set_of_files(logs: Path, printed: Printed) -> None:
+    short = ("intent.observables.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
+    assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)
+    report = printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")
+    assert report["path_deviation_mm"] == dict.fromkeys(("mean", "max", "p95_of_max", "frechet"))
+    holdout = report["holdout"]
+    assert isinstance(holdout, dict)
+    assert holdout["demonstrations"] == len(holdout["outcomes"]) == len(holdout["hausdorff_mm"]["policy"]) == 1
+    assert holdout["hausdorff_mm"]["straight_line"][0] > holdout["hausdorff_mm"]["nearest_demonstration"][0]

@@ -1,0 +1,85 @@
+"""Reading demonstrations: files of both kinds, several of them, globs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_shown import arc, recorded, shown
+
+from koopdqn.demonstrations.csv import write_csv
+from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.demonstrations.reading import files_of, read_demonstrations
+from koopdqn.errors import BadInputError
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Ten CSV files of one demonstration each, told apart by their start, and an HDF5 file of two."""
+    for index in range(10):
+        write_csv(tmp_path / f"log_{index + 1}.csv", [recorded(arc(0.001 * index))])
+    write_hdf5(tmp_path / "two.hdf5", shown(recorded(arc(0.02)), recorded(arc(0.03))))
+    return tmp_path
+
+
+def starts(*sources: str, any_task: bool = False) -> list[float]:
+    read = read_demonstrations(sources, "demonstrated", "UR5", any_task)
+    return [round(1e3 * (item.poses[0, 2] - 0.55)) for item in read.items]
+
+
+def test_a_glob_is_read_in_natural_order(folder: Path) -> None:
+    assert starts(f"{folder}/log_*.csv") == list(range(10))
+
+
+def test_files_of_both_kinds_follow_one_another(folder: Path) -> None:
+    assert starts(str(folder / "two.hdf5"), str(folder / "log_3.csv")) == [20, 30, 2]
+
+
+def test_a_glob_relative_to_the_working_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert files_of(["*_1.csv", "two.hdf5"]) == [Path("log_1.csv"), Path("two.hdf5")]
+
+
+def test_a_file_may_be_named_like_a_glob(folder: Path) -> None:
+    odd = (folder / "log_1.csv").rename(folder / "log[1].csv")
+    assert files_of([str(odd)]) == [odd]
+
+
+def test_csv_and_hdf5_of_the_same_demonstrations_are_alike(folder: Path) -> None:
+    write_csv(folder / "both.csv", read_demonstrations([str(folder / "two.hdf5")], "demonstrated", "UR5").items)
+    kinds = [read_demonstrations([str(folder / name)], "demonstrated", "UR5") for name in ("two.hdf5", "both.csv")]
+    assert kinds[0].digest() == kinds[1].digest()
+
+
+def test_hdf5_of_another_task_is_refused_unless_any_will_do(folder: Path) -> None:
+    with pytest.raises(BadInputError, match=r"task shelf, found task demonstrated"):
+        read_demonstrations([str(folder / "two.hdf5")], "shelf", "UR5")
+    assert read_demonstrations([str(folder / "two.hdf5")], "shelf", "UR5", any_task=True).task == "shelf"
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [("none_*.csv", "none that match"), ("none.csv", "found nothing"), (".", "found")],
+)
+def test_what_names_no_file_is_refused(folder: Path, source: str, words: str) -> None:
+    with pytest.raises(BadInputError, match=words):
+        read_demonstrations([str(folder / source)], "demonstrated", "UR5")
+
+
+def test_no_file_counts_twice(folder: Path) -> None:
+    with pytest.raises(BadInputError, match="twice"):
+        files_of([f"{folder}/log_*.csv", str(folder / "log_2.csv")])
+
+
+def test_held_out_demonstrations_stay_marked(tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from koopdqn.demonstrations.hdf5 import read_hdf5
+
+    three = shown(*(recorded(arc(0.01 * index)) for index in range(3)))
+    write_hdf5(tmp_path / "demos.hdf5", replace(three, held_out=1))
+    read = read_hdf5(tmp_path / "demos.hdf5")
+    assert read.held_out == 1
+    assert read.digest() == three.digest()
+    with pytest.raises(BadInputError, match="found 3"):
+        replace(three, held_out=3)
+    np.testing.assert_array_equal(read.items[2].poses, three.items[2].poses)

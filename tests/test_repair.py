@@ -1,0 +1,130 @@
+import json
+from pathlib import Path
+
+import pytest
+from parts import Clerk
+from questions import question, written
+
+from koopdqn import cli
+from koopdqn.errors import BadInputError
+from koopdqn.feedback import repair
+from koopdqn.feedback.journal import JournalledOracle
+from koopdqn.feedback.oracle import Answer
+from koopdqn.feedback.records import read_lines, read_records
+from koopdqn.feedback.summary import summarised
+
+
+def journal(folder: Path, teacher: str, rights: list[bool | None]) -> Path:
+    path = folder / f"{teacher}.jsonl"
+    written(path, [Answer(right, teacher, 1.0) for right in rights])
+    return path
+
+
+def change(path: Path, number: int, text: str, *, learned: int = 0, drop_later: bool = False) -> None:
+    repair.edit(path, number, text, None, learned, drop_later=drop_later)
+
+
+def test_an_edit_is_a_new_line_and_the_run_is_told_the_new_answer(tmp_path: Path) -> None:
+    path = journal(tmp_path, "anna", [True, False, None])
+    before = path.read_bytes()
+    change(path, 1, "7")
+    assert path.read_bytes().startswith(before)
+    assert read_lines(path)[-1]["kind"] == "edit"
+    oracle = JournalledOracle(Clerk(), path, 0)
+    told = [oracle.answer(question(number)) for number in range(3)]
+    assert [(answer.right, answer.better) for answer in told] == [(True, None), (False, 7), (None, None)]
+
+
+@pytest.mark.parametrize(
+    ("text", "right", "better"),
+    [("right", True, None), ("N", False, None), ("skip", None, None), ("0", True, 0), ("9", False, 9)],
+)
+def test_what_an_answer_may_be(text: str, right: bool | None, better: int | None) -> None:
+    assert repair.parsed_answer(text, 0) == (right, better)
+
+
+@pytest.mark.parametrize("text", ["", "10", "maybe", "²", "-1"])
+def test_what_no_answer_is(text: str) -> None:
+    with pytest.raises(BadInputError, match="must be right, wrong, skip or a better action from 0 to 9"):
+        repair.parsed_answer(text, 0)
+
+
+def test_a_run_that_learned_from_an_answer_refuses_its_edit_and_a_new_one_takes_it(tmp_path: Path) -> None:
+    path = journal(tmp_path, "anna", [True, True, True])
+    change(path, 1, "wrong", learned=2)
+    with pytest.raises(BadInputError, match="answer 1 must be the one the run has learned from"):
+        JournalledOracle(Clerk(), path, 2)
+    oracle = JournalledOracle(Clerk(), path, 1)
+    assert oracle.answer(question(1)).right is False
+
+
+def test_what_was_withdrawn_is_not_edited(tmp_path: Path) -> None:
+    path = tmp_path / "feedback.jsonl"
+    written(path, [Answer(True, "anna"), Answer(True, "anna", undo=1)])
+    with pytest.raises(BadInputError, match="must be that of an answer that stands, found 0"):
+        change(path, 0, "wrong")
+
+
+def test_dropping_what_is_later_asks_it_anew(tmp_path: Path) -> None:
+    path = tmp_path / "feedback.jsonl"
+    yes = Answer(True, "anna")
+    written(path, [yes, yes, Answer(True, "anna", undo=2), yes])
+    assert [item.withdrawn for item in read_records(path).items] == [True, True, False, False]
+    change(path, 1, "wrong", drop_later=True)
+    records = read_records(path)
+    assert [(item.line.right, item.withdrawn) for item in records.items] == [(True, False), (False, False)]
+    clerk = Clerk()
+    oracle = JournalledOracle(clerk, path, 0)
+    for number in range(3):
+        oracle.answer(question(number))
+    oracle.close()
+    assert len(clerk.asked) == 1
+    assert len(read_records(path).items) == 3
+
+
+def test_merging_keeps_the_first_lets_most_decide_and_overwrites_nothing(tmp_path: Path) -> None:
+    first = journal(tmp_path, "anna", [True, True, False, True])
+    others = [journal(tmp_path, "bert", [True, False, None]), journal(tmp_path, "cleo", [True, False, True])]
+    out = tmp_path / "merged.jsonl"
+    merged = repair.merge([first, *others], out)
+    assert (merged.answers, merged.opinions, merged.changed, merged.left_out) == (4, 6, 1, 0)
+    items = read_records(out).items
+    assert [item.line.right for item in items] == [True, False, False, True]
+    assert out.read_bytes().startswith(first.read_bytes())
+    with pytest.raises(BadInputError, match="must name a new file"):
+        repair.merge([first, *others], out)
+    with pytest.raises(BadInputError, match="2 or more"):
+        repair.merge([first], tmp_path / "alone.jsonl")
+
+
+def test_agreement_counts_what_both_answered(tmp_path: Path) -> None:
+    paths = [
+        journal(tmp_path, "anna", [True, True, False, None]),
+        journal(tmp_path, "bert", [True, False, False, True]),
+    ]
+    summary = summarised([read_records(path) for path in paths])
+    (pair,) = summary.agreement
+    assert (pair.one, pair.other, pair.questions, pair.same) == ("anna", "bert", 3, 2)
+    assert [(item.name, item.answers, item.skipped) for item in summary.teachers] == [("anna", 4, 1), ("bert", 4, 0)]
+    merged = tmp_path / "merged.jsonl"
+    repair.merge(paths, merged)
+    assert summarised([read_records(merged)]).agreement == summary.agreement
+
+
+def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    journal(folder, "feedback", [True, False, None])
+    assert cli.main(["feedback", "edit", str(folder), "2", "4", "--teacher", "bert"]) == 0
+    assert "answer 2 is now wrong (better +x), by bert" in capsys.readouterr().out
+    assert cli.main(["feedback", "show", str(folder)]) == 0
+    shown = capsys.readouterr().out
+    assert "edited" in shown
+    assert "bert" in shown
+    assert cli.main(["feedback", "show", str(folder), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["answers"] == 3
+    out = tmp_path / "merged.jsonl"
+    other = journal(tmp_path, "cleo", [False])
+    assert cli.main(["feedback", "merge", str(folder), str(other), "--out", str(out)]) == 0
+    assert cli.main(["feedback", "show", str(tmp_path / "nowhere")]) == 2
+    assert "must name a journal or a run folder that holds feedback.jsonl" in capsys.readouterr().err

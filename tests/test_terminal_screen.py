@@ -1,0 +1,120 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import Parts
+from rich.text import Text
+
+from koopdqn.environment.actions import COUNT, reached_poses
+from koopdqn.feedback import wording
+from koopdqn.feedback.oracle import Answer, Earlier, Question
+from koopdqn.feedback.situation import SituationCamera, magnification, magnified
+from koopdqn.feedback.terminal.screen import HELP, Shown, compose, region
+from koopdqn.pose import POSITION, QUATERNION, position_distance, rotation_distance
+from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.workcell import Workcell
+
+
+@pytest.fixture(scope="module")
+def asked(parts: Parts) -> Question:
+    start = parts.task.nominal_start
+    candidates = reached_poses(start[None], parts.task)[0]
+    earlier = (Earlier(41, 3, 7, 4, False),)
+    return Question(
+        12,
+        40,
+        start,
+        6,
+        candidates[6],
+        candidates[1],
+        "x is 4.1 standard deviations from the demonstrations (limit 3)",
+        number=42,
+        left=18,
+        candidates=candidates,
+        progress="750 updates, 4000 actions, 42 questions",
+        earlier=earlier,
+    )
+
+
+@settings(max_examples=60)
+@given(width=st.integers(20, 240), height=st.integers(8, 80), pictures=st.booleans(), helps=st.booleans())
+def test_a_screen_fits_its_terminal(
+    parts: Parts, asked: Question, width: int, height: int, pictures: bool, helps: bool
+) -> None:
+    place = region(width, height, pictures=pictures)
+    lines = [Text("▀" * place.width)] * place.rows
+    shown = Shown(parts.task, "anna", asked, "a status " * 40, lines, 38.0, help=helps)
+    composed = compose(shown, width, height, pictures=pictures)
+    assert len(composed) == height
+    assert all(line.cell_len <= width for line in composed)
+    assert composed[-1].cell_len < width, "a full last line would scroll"
+    assert place.left + place.width <= width
+    assert place.top + place.rows < height
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40)])
+def test_a_screen_says_all_that_an_answer_needs(parts: Parts, asked: Question, width: int, height: int) -> None:
+    shown = Shown(parts.task, "anna", asked, "Answered: wrong", [], 38.0)
+    lines = [line.plain for line in compose(shown, width, height, pictures=True)]
+    text = " ".join(" ".join(lines).split())
+    words = ("question 42, 18 left", "episode 12", "step 40", "anna", "moves along +y", "2.1 mm", "Asked because")
+    for word in (*words, "standard deviations", "750 updates", "answer 41, +x: wrong", "y right", "q pause"):
+        assert word in text, word
+    for action in range(COUNT):
+        mark = "*" if action == asked.action else " "
+        assert f"{action}{mark}{wording.choices(asked, parts.task)[action]}" in text
+    assert lines[-1] == "Answered: wrong"
+
+
+def test_the_help_is_whole_on_a_small_screen(parts: Parts, asked: Question) -> None:
+    text = "\n".join(line.plain for line in compose(Shown(parts.task, "anna", asked, help=True), 80, 24, pictures=True))
+    assert all(line in text for line in HELP)
+
+
+def test_only_actions_that_can_be_right_can_be_named(shelf_task: ShelfTask, asked: Question) -> None:
+    assert wording.choosable(asked, shelf_task).tolist() == [i not in (0, 2, 3) for i in range(COUNT)]
+    still = replace(asked, candidates=np.repeat(asked.pose[None], COUNT, axis=0))
+    assert not wording.choosable(still, shelf_task).any()
+
+
+def test_the_amounts_are_those_of_the_poses(shelf_task: ShelfTask, asked: Question) -> None:
+    there = position_distance(asked.reached, shelf_task.goal)
+    assert wording.moved(asked).split() == ["2.1", "mm", "0.0°"]
+    assert wording.remaining(asked, shelf_task).split()[0] == f"{1e3 * there:.1f}"
+    gain = 1e3 * (position_distance(asked.pose, shelf_task.goal) - there)
+    assert wording.nearer(asked, shelf_task) == f"{abs(gain):.1f} mm {'nearer' if gain >= 0 else 'farther'}"
+    same = replace(asked, predicted=asked.reached)
+    assert wording.opinion(same) == "2.1 mm, 0° off this motion"
+    assert wording.told(Answer(False, "", better=8)) == "wrong: better +z"
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 999), times=st.floats(1, 100))
+def test_a_magnified_motion_keeps_its_direction(seed: int, times: float) -> None:
+    rng = np.random.default_rng(seed)
+    before = rng.normal(size=7)
+    before[QUATERNION] /= np.linalg.norm(before[QUATERNION])
+    after = magnified(before, before + np.concatenate([rng.normal(size=3) * 1e-3, np.zeros(4)]), 1.0)
+    far = magnified(before, after, times)
+    assert np.allclose((far - before)[POSITION], times * (after - before)[POSITION])
+    assert rotation_distance(far, before) < 1e-6
+
+
+def test_the_picture_shows_the_motion_larger_and_marks_where_things_are(workcell: Workcell, asked: Question) -> None:
+    times = magnification(asked)
+    assert times * 0.0021 == pytest.approx(0.08, rel=0.01)
+    camera = SituationCamera(workcell, (120, 90))
+    try:
+        situation = camera.picture(asked)
+        begun = camera.picture(asked, 0.0)
+    finally:
+        camera.close()
+    assert situation.image.shape == (90, 120, 3)
+    assert situation.times == times
+    assert not np.array_equal(situation.image, begun.image), "the arm stands elsewhere at the motion's beginning"
+    for mark in "bgrm":
+        x, y = situation.marks[mark]
+        assert 0 <= x < 1
+        assert 0 <= y < 1

@@ -1,0 +1,111 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import load_parts
+
+from koopdqn import pose
+from koopdqn.intent.measures import path_coverage
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.tube import Tube, TubeSettings
+from koopdqn.pose import Array
+
+HELD = np.array([1.0, 0.0, 0.0, 0.0])
+FRAME = np.array([HELD, HELD])
+
+
+@cache
+def default() -> TubeSettings:
+    trust = load_parts().trust
+    assert isinstance(trust, TubeSettings)
+    return trust
+
+
+def person(rng: np.random.Generator, count: int) -> list[Array]:
+    """Demonstrations 0.4 m along x that wander sideways by some millimetres, to one goal."""
+    share = np.linspace(0.0, 1.0, 201)
+    waves = np.stack([np.cos(0.5 * np.pi * share), np.sin(np.pi * share), np.sin(2 * np.pi * share)])
+    sideways = 0.004 * rng.normal(size=(count, 2, 3)) @ waves
+    paths = [np.stack([0.4 * share, *rows], axis=1) for rows in sideways]
+    return [pose.make(path, HELD) for path in paths]
+
+
+def tube(shown: list[Array], errors: list[Array] | None = None) -> Tube:
+    zero = [np.zeros((len(rows) - 1, 2)) for rows in shown]
+    drawn = TrustDomain.fit(shown, errors or zero, FRAME, default())
+    assert isinstance(drawn, Tube)
+    return drawn
+
+
+def test_whole_new_demonstrations_are_held_as_often_as_stated() -> None:
+    held, ratios = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        drawn = tube(person(rng, 5))
+        held.append(path_coverage(drawn, person(rng, 50)))
+        ratios.append(np.median(drawn.radius[:, 0]) / np.median(drawn.spread[:, 0]))
+    assert default().nominal(5) == pytest.approx(5 / 6)
+    assert np.mean(held) >= 5 / 6 - 0.05
+    assert np.median(ratios) <= 3.0
+
+
+def test_demonstrations_allow_no_more_than_their_number() -> None:
+    assert [default().nominal(count) for count in (1, 2, 3)] == [None, 2 / 3, 3 / 4]
+    assert default().nominal(40) == pytest.approx(37 / 41)
+
+
+def test_a_single_demonstration_has_a_tube_of_fixed_radius() -> None:
+    [shown] = person(np.random.default_rng(0), 1)
+    drawn = tube([shown])
+    np.testing.assert_array_equal(drawn.radius[:, 0], default().fixed_radius_m)
+    aside = shown.copy()
+    for far, inside in ((0.9, True), (1.2, False)):
+        aside[:, 2] = shown[:, 2] + far * default().fixed_radius_m
+        assert drawn.inside(aside, np.zeros(len(aside), dtype=int)).all() == inside
+
+
+@settings(max_examples=30)
+@given(seed=st.integers(0, 50), turn=st.floats(0.0, 0.3), error=st.booleans())
+def test_distance_reason_and_inside_agree(seed: int, turn: float, error: bool) -> None:
+    rng = np.random.default_rng(seed)
+    shown = person(rng, 4)
+    errors = [np.zeros((len(rows) - 1, 2)) for rows in shown]
+    if error:
+        errors[0][50:120] = 1.0
+    drawn = tube(shown, errors)
+    positions = rng.uniform([-0.05, -0.03, -0.03], [0.45, 0.03, 0.03], (40, 3))
+    points = pose.make(positions, pose.from_rotation_vector([turn, 0.0, 0.0]))
+    steps = np.zeros(40, dtype=int)
+    inside, far = drawn.inside(points, steps), drawn.distance(points)
+    assert not np.any(inside & (far > 1.0 + 1e-9))
+    if not error:
+        np.testing.assert_array_equal(inside[np.abs(far - 1) > 1e-9], (far < 1.0)[np.abs(far - 1) > 1e-9])
+    for point, trusted in zip(points, inside, strict=True):
+        assert (drawn.outside(point, 0) == "") == trusted
+
+
+def test_where_the_model_errs_it_is_the_nearest_place_that_counts() -> None:
+    shown = person(np.random.default_rng(0), 4)
+    errors = [np.zeros((len(rows) - 1, 2)) for rows in shown]
+    errors[2][100:120, 0] = 0.5
+    drawn = tube(shown, errors)
+    inside = drawn.inside(shown[2], np.zeros(len(shown[2]), dtype=int))
+    assert not inside[102:118].any()
+    assert inside[:90].all()
+    assert inside[130:].all()
+    assert "held-out error" in drawn.outside(shown[2][110], 0)
+
+
+def test_a_ball_is_trusted_where_the_model_errs_and_survives_storage() -> None:
+    shown = person(np.random.default_rng(0), 4)
+    drawn = tube(shown, [np.full((len(rows) - 1, 2), 9.0) for rows in shown])
+    step = np.array([0])
+    wider = drawn.extended(shown[0][50:51], np.array([0.01]))
+    assert not drawn.inside(shown[0][50:51], step)[0]
+    for domain in (wider, TrustDomain.restore(wider.arrays(), wider.settings)):
+        assert domain.inside(shown[0][52:53], step)[0]
+        assert not domain.inside(shown[0][80:81], step)[0]
+    assert replace(drawn, error=0 * drawn.error).inside(shown[0], np.zeros(201, dtype=int)).all()
