@@ -83,6 +83,7 @@ def method(mean: float) -> dict[str, Any]:
         "success_interval_95": list(wilson_interval(9, 10)),
         "measured_episodes": 10,
         "path_deviation_mm": {"mean": mean, "max": 3 * mean, "p95_of_max": 2 * mean, "frechet": mean},
+        "stairs_deviation_mm": {"mean": 2 * mean, "max": 6 * mean, "p95_of_max": 4 * mean},
         "lateral_deviation_mm": {"mean": mean, "max": 3 * mean, "p95_of_max": 2 * mean},
         "rotation_deviation_deg": summary,
         "tube_fraction": 1.0,

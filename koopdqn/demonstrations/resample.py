@@ -73,12 +73,18 @@ def mean_path(trajectories: list[Array]) -> SmoothPath:
     return SmoothPath.along(np.mean(aligned, axis=0))
 
 
-def to_count(poses: Array, count: int) -> Array:
-    """Return ``count`` poses (count, 7) evenly spaced along the path's arc length.
+def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:
+    """Return ``count`` poses (count, 7) evenly spaced along the path (N, 7).
 
     Where the path does not move at all, samples are spread evenly over the turn instead.
+
+    Args:
+        poses: the path.
+        count: how many.
+        arc: (N,) [m] the arc length of every pose, if it is not to be that of the positions themselves.
     """
-    arc = arc_lengths(poses[:, pose.POSITION])
+    if arc is None:
+        arc = arc_lengths(poses[:, pose.POSITION])
     if arc[-1] < 1e-9:
         turns = pose.rotation_distance(poses[1:], poses[:-1])
         arc = np.concatenate([[0.0], np.cumsum(turns)])

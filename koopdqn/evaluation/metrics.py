@@ -41,7 +41,9 @@ def measure(
     paths = [episode.poses for episode in episodes if episode.steps]
     moved = [(e.poses, reference) for e, reference in zip(episodes, references or (), strict=False) if e.steps]
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
-    matched, lateral = (_spread(values * _MILLIMETRES) for values in (apart.matched, apart.lateral))
+    matched, stairs, lateral = (
+        _spread(values * _MILLIMETRES) for values in (apart.matched, apart.stairs, apart.lateral)
+    )
     ends = np.array([episode.poses[-1] for episode in episodes])
     low, high = wilson_interval(outcomes[SUCCESS], len(episodes))
     return MethodReport(
@@ -49,6 +51,7 @@ def measure(
         success_interval_95=[low, high],
         measured_episodes=len(paths),
         path_deviation_mm=PathDeviation(**matched, frechet=_mean(apart.frechet * _MILLIMETRES)),
+        stairs_deviation_mm=LateralDeviation(**stairs),
         lateral_deviation_mm=LateralDeviation(**lateral),
         rotation_deviation_deg=summary(np.degrees(apart.rotation)),
         tube_fraction=_tube_fraction(paths, trust),

@@ -28,7 +28,7 @@ class LateralDeviation(ReportModel):
 
 
 class PathDeviation(LateralDeviation):
-    """The same with points matched by arc length."""
+    """The same with points matched by arc length, of the curves without the stairs of single actions."""
 
     frechet: NonNegative | None = Field(description="mean over episodes of the discrete Fréchet distance [mm]")
 
@@ -62,6 +62,10 @@ class MethodReport(ReportModel):
     success_interval_95: IntervalList = Field(description="[lower, upper] Wilson 95 % interval of success_rate")
     measured_episodes: NonNegativeInt = Field(description="episodes that made at least one step")
     path_deviation_mm: PathDeviation = Field(description="from the reference, over the measured episodes [mm]")
+    stairs_deviation_mm: LateralDeviation = Field(
+        description="the same matched by the arc length of the stairs themselves, which the ten directions lengthen"
+        " unevenly [mm]"
+    )
     lateral_deviation_mm: LateralDeviation = Field(
         description="from the nearest point of the reference: steps along the axes make a path longer in some parts"
         " than in others, which shifts the points matched by arc length along the path, but not these [mm]"
