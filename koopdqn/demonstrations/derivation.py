@@ -58,8 +58,6 @@ class Derivation(TaskChoice):
     goal_rotation_tolerance_rad: Positive
     pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the law looks along a demonstration [m]")
     modelled_pull_back_m: float = Field(ge=1e-3, le=1.0, description="the same of the model's made-up states [m]")
-        ge=1e-3, le=1.0, description="the same of the intent model's made-up states [m]"
-    )
     centring: Fraction = Field(
         description="how much, among right actions, coming nearer to the demonstrated path counts"
     )
