@@ -47,7 +47,11 @@ VARIANTS: Final = (
     Variant("two-sigmas", ("trust=box", "trust.sigmas=2.0"), "trust within 2 σ (D7)"),
     Variant("line", ("intent=line",), "a line fit instead of a Koopman model"),
     Variant("paper-lift", ("intent=paper",), "the paper's lift, fitted as the paper does (D1–D3)"),
-    Variant("no-copies", ("intent.stabilisation.copies=0", "intent.stabilisation.far_copies=0"), "no made-up states (D2)"),
+    Variant(
+        "no-copies",
+        ("intent.stabilisation.copies=0", "intent.stabilisation.far_copies=0"),
+        "no made-up states (D2)",
+    ),
     Variant("raw-prediction", ("reward.prediction=raw",), "the raw prediction is compared (D4)"),
     Variant("sign", ("reward.shape=sign",), "rewards of one size (D5)"),
     Variant("no-doubt", ("reward.doubt=0.0",), "close comparisons count too (D6)"),

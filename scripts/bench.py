@@ -21,6 +21,7 @@ from koopdqn.commands.configuration import Configuration
 from koopdqn.config.resources import asset_path, conf_dir
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generator import generate
+from koopdqn.demonstrations.resample import mean_path
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.replay import ReplayBuffer, Transitions
@@ -98,8 +99,8 @@ def learning_rows(config: Configuration) -> list[Row]:
         return fit(demonstrations, task, config.intent, config.trust)
 
     fitted = fitting()
-    reward = IntentReward(task, fitted.model, fitted.trust, config.reward)
     trajectories = agent_steps(demonstrations, task)
+    reward = IntentReward(task, fitted.model, fitted.trust, config.reward, mean_path(trajectories))
     states = np.concatenate(trajectories)
     batch = states[np.random.default_rng(0).integers(len(states), size=agent.episodes_at_once)]
     item = demonstrations.items[0]
@@ -117,7 +118,9 @@ def learning_rows(config: Configuration) -> list[Row]:
     seen = observe(states, task)
     flags = np.zeros(len(seen), dtype=bool)
     actions = rng.integers(10, size=len(seen))
-    replay.add(Transitions(seen, actions, np.ones(len(seen), np.float32), seen, flags, flags, flags))
+    none = np.zeros(len(seen), dtype=np.int64)
+    ones = np.ones(len(seen), np.float32)
+    replay.add(Transitions(seen, actions, ones, seen, flags, flags, flags, states, none, none, none))
     return [
         Row("five demonstrations", f"{median_seconds(make, 3):.2f} s", "on the arm, checked for collisions"),
         Row(

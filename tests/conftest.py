@@ -104,8 +104,7 @@ def fitted(demonstrations: "Demonstrations", parts: "Parts") -> "Fitted":
 
 @pytest.fixture(scope="session")
 def reward(parts: "Parts", fitted: "Fitted", trajectories: "list[Array]") -> "IntentReward":
-    from koopdqn.environment.reward import IntentReward
-
     from koopdqn.demonstrations.resample import mean_path
+    from koopdqn.environment.reward import IntentReward
 
     return IntentReward(parts.task, fitted.model, fitted.trust, parts.reward, mean_path(trajectories))

@@ -14,6 +14,7 @@ from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.generator import DemonstrationSettings
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import RewardSettings
+from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.trust import TrustSettings
@@ -35,6 +36,7 @@ class Parts:
     trust: TrustSettings
     agent: AgentSettings
     reward: RewardSettings
+    feedback: FeedbackSettings
     train: TrainSettings
 
 
@@ -52,6 +54,7 @@ def load_parts(*overrides: str) -> Parts:
         load_settings(config.trust, TrustSettings, "trust"),
         load_settings(config.agent, AgentSettings, "agent"),
         validate(config.reward, RewardSettings, "reward"),
+        validate(config.feedback, FeedbackSettings, "feedback"),
         validate(config.train, TrainSettings, "train"),
     )
 

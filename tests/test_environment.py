@@ -164,7 +164,9 @@ def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward
 
 
 def test_where_the_model_is_trusted_nobody_is_asked(workcell: Workcell, reward: IntentReward) -> None:
-    sure = IntentReward(reward.task, reward.model, reward.trust, reward.settings.model_copy(update={"doubt": 0.0}), reward.path)
+    sure = IntentReward(
+        reward.task, reward.model, reward.trust, reward.settings.model_copy(update={"doubt": 0.0}), reward.path
+    )
     clerk = Clerk()
     environment = KoopmanEnvironment(workcell, sure, clerk, 100, 1)
     environment.reset()

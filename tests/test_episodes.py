@@ -55,23 +55,36 @@ def test_every_start_is_one_the_arm_can_take_and_no_goal(workcell: Workcell, tra
 
 def test_beginning_wipes_what_was(workcell: Workcell, trajectories: list[Array]) -> None:
     batch = EpisodeBatch.empty(2)
-    batch.steps[:], batch.rewards[:], batch.tried[:], batch.fresh[:] = 9, 9.0, True, False
+    batch.steps[:], batch.rewards[:], batch.tried[:], batch.stored[:] = 9, 9.0, True, True
     sampler(workcell, trajectories, 0.0).begin(batch, 1, 7, np.random.default_rng(0))
-    assert (batch.steps[1], batch.rewards[1], batch.numbers[1], batch.fresh[1]) == (0, 0.0, 7, True)
+    assert (batch.steps[1], batch.rewards[1], batch.numbers[1]) == (0, 0.0, 7)
     assert not batch.tried[1].any()
-    assert (batch.steps[0], batch.rewards[0], batch.fresh[0]) == (9, 9.0, False)
+    assert not batch.stored[1].any()
+    assert (batch.steps[0], batch.rewards[0]) == (9, 9.0)
+    assert batch.stored[0].all()
 
 
 def test_moving_is_a_step_to_where_nothing_was_tried(workcell: Workcell, trajectories: list[Array]) -> None:
     batch = begun(sampler(workcell, trajectories, 0.0), 2)
-    batch.tried[:, 3], batch.fresh[:] = True, False
+    batch.tried[:, 3], batch.stored[:, 4] = True, True
     target, joints = batch.poses[0] + 0.001, batch.joints[0] + 0.01
     batch.move(0, target, joints)
     np.testing.assert_array_equal(batch.poses[0], target)
     np.testing.assert_array_equal(batch.joints[0], joints)
     assert batch.steps.tolist() == [1, 0]
-    assert batch.fresh.tolist() == [True, False]
+    assert batch.stored.any(axis=1).tolist() == [False, True]
     assert batch.tried.any(axis=1).tolist() == [False, True]
+
+
+def test_reopening_lets_the_episodes_at_a_pose_try_one_action_anew(
+    workcell: Workcell, trajectories: list[Array]
+) -> None:
+    batch = begun(sampler(workcell, trajectories, 0.0), 3)
+    batch.poses[2] = batch.poses[0]
+    batch.tried[:], batch.stored[:] = True, True
+    batch.reopen(batch.poses[0].copy(), 6)
+    for open_ in (~batch.tried, ~batch.stored):
+        np.testing.assert_array_equal(np.argwhere(open_), [[0, 6], [2, 6]])
 
 
 def test_a_restored_batch_is_the_same_and_apart(workcell: Workcell, trajectories: list[Array]) -> None:

@@ -32,6 +32,10 @@ def batch(seed: int, count: int = 32, **changes: np.ndarray) -> Transitions:
         "terminated": np.zeros(count, dtype=bool),
         "truncated": np.zeros(count, dtype=bool),
         "undone": np.zeros(count, dtype=bool),
+        "poses": rng.normal(size=(count, 7)),
+        "steps": np.arange(count),
+        "sources": np.ones(count, dtype=np.int64),
+        "answers": np.full(count, -1),
     }
     return Transitions(**(fields | changes))
 

@@ -17,10 +17,11 @@ from koopdqn.workcell import Workcell
 def test_the_shelf_is_learned_and_held_on_starts_never_seen(
     parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]
 ) -> None:
-    trainer = Trainer(workcell, reward, trajectories, ScriptedOracle(workcell.task), parts.agent, parts.train, seed=0)
+    oracle = ScriptedOracle(workcell.task)
+    trainer = Trainer(workcell, reward, trajectories, oracle, parts.agent, parts.train, 0, parts.feedback)
     trainer.run()
     assert trainer.learned
-    for name in ("trusted", "asked"):
+    for name in ("trusted", "remembered", "asked"):
         share = trainer.history.agreement()[name]
         assert share is None or share > 0.9
     starts, joints, _ = workcell.reachability.draw_starts(workcell.task, np.random.default_rng(987), 100)

@@ -12,7 +12,9 @@ from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentRewa
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 
-SIGN = RewardSettings(shape="sign", prediction="rescaled", doubt=0.0, size=1.0, goal=0.0)
+SIGN = RewardSettings(
+    shape="sign", prediction="rescaled", doubt=0.0, centring=0.0, centring_within_m=0.01, size=1.0, goal=0.0
+)
 AXES = np.array([4, 5, 6, 7, 8, 9])
 
 
@@ -98,7 +100,9 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
 ) -> None:
     settings_ = reward.trust.settings.model_copy(update={"needs": needs})
     trust = replace(reward.trust, settings=settings_, radius=0.6 * reward.trust.radius)
-    judged = IntentReward(reward.task, reward.model, trust, SIGN, reward.path).judge(*(data := beside(trajectories, 3, 200, 0.012)))
+    judged = IntentReward(reward.task, reward.model, trust, SIGN, reward.path).judge(
+        *(data := beside(trajectories, 3, 200, 0.012))
+    )
     poses, steps = data
     here = trust.inside(poses, steps)
     there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
@@ -122,7 +126,9 @@ ASKED_STEPS: list[tuple[int, np.ndarray]] = []
 def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, trajectories: list[Array]) -> None:
     recording = _Recording(**{name: getattr(reward.trust, name) for name in reward.trust.__dataclass_fields__})
     ASKED_STEPS.clear()
-    IntentReward(reward.task, reward.model, recording, SIGN, reward.path).judge(trajectories[0][[3, 40]], np.array([3, 40]))
+    IntentReward(reward.task, reward.model, recording, SIGN, reward.path).judge(
+        trajectories[0][[3, 40]], np.array([3, 40])
+    )
     by_count = dict(ASKED_STEPS)
     assert by_count.keys() == {2, 20}
     np.testing.assert_array_equal(by_count[2], [3, 40])

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_trainer, untrusting
 from parts import Clerk, Parts
 
 from koopdqn.dqn.policy import Policy
-from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import ASKED, TRUSTED, IntentReward
 from koopdqn.feedback.journal import JournalledOracle
 from koopdqn.feedback.oracle import Answer, Oracle, Question
@@ -19,88 +19,25 @@ from koopdqn.pose import Array
 from koopdqn.rollout import STUCK, SUCCESS, Episode, roll_out
 from koopdqn.training.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
 from koopdqn.training.history import Check
-from koopdqn.training.settings import TrainSettings
 from koopdqn.training.trainer import Trainer
 from koopdqn.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
-UNCHECKED = {"check_every": 10**6}
-
-
-@pytest.fixture(scope="module")
-def small(parts: Parts) -> AgentSettings:
-    network = parts.agent.network.model_copy(update={"hidden": (8,), "fourier_features": 8})
-    return parts.agent.model_copy(
-        update={
-            "network": network,
-            "batch": 16,
-            "replay": 400,
-            "warm_up": 60,
-            "episodes_at_once": 4,
-            "updates_per_round": 4,
-            "exploring_steps": 8,
-            "epsilon_steps": 1000,
-        }
-    )
-
-
-@pytest.fixture(scope="module")
-def short(parts: Parts) -> TrainSettings:
-    return parts.train.model_copy(
-        update={"check_every": 10, "max_steps": 500, "max_episodes": 200, "stop": "limit", "check_success": 1.0}
-    )
-
-
-@pytest.fixture(scope="module")
-def tails(trajectories: list[Array]) -> list[Array]:
-    """The last part of every demonstration: a low step limit, so that checks are short."""
-    return [rows[-20:] for rows in trajectories[:3]]
 
 
 @pytest.fixture
-def make(
-    workcell: Workcell, reward: IntentReward, tails: list[Array], small: AgentSettings, short: TrainSettings
-) -> Make:
-    def trainer(
-        oracle: Oracle | None = None,
-        seed: int = 0,
-        agent: dict[str, Any] | None = None,
-        train: dict[str, Any] | None = None,
-        judged_by: IntentReward = reward,
-    ) -> Trainer:
-        return Trainer(
-            workcell,
-            judged_by,
-            tails,
-            oracle or ScriptedOracle(workcell.task),
-            small.model_copy(update=agent or {}),
-            short.model_copy(update=train or {}),
-            seed,
-        )
+def make(parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]) -> Make:
+    def trainer(oracle: Oracle | None = None, judged_by: IntentReward = reward, **changes: Any) -> Trainer:
+        return small_trainer(parts, workcell, judged_by, trajectories, oracle, **changes)
 
     return trainer
-
-
-def untrusting(reward: IntentReward) -> IntentReward:
-    """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
-    trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
-    return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
 
 
 def half_trusting(reward: IntentReward) -> IntentReward:
     """The same reward with a narrow trust domain, so that some things are known and some must be asked."""
     narrow = replace(reward.trust, radius=0.5 * reward.trust.radius)
     return IntentReward(reward.task, reward.model, narrow, reward.settings, reward.path)
-
-
-def assert_same_run(one: Trainer, two: Trainer) -> None:
-    (arrays, about), (other_arrays, other_about) = one.state(), two.state()
-    for part in about:
-        assert about[part] == other_about[part], part
-    assert arrays.keys() == other_arrays.keys()
-    for name, values in arrays.items():
-        np.testing.assert_array_equal(values, other_arrays[name], err_msg=name)
 
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -291,20 +228,21 @@ def test_nothing_is_asked_twice_nor_where_it_is_known(make: Make, workcell: Work
 
 def test_the_likeliest_action_is_asked_first(make: Make, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: False)
-    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 6})
+    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 6}, feedback=FORGETFUL)
     trainer.run()
     by_episode: dict[int, list[Question]] = {}
     for asked in clerk.asked:
         by_episode.setdefault(asked.episode, []).append(asked)
     for questions in by_episode.values():
-        opinion = reward.judge(questions[0].pose[None], np.array([0])).reward[0]
+        opinion = reward.judge(questions[0].pose[None], np.array([0])).margin[0]
         order = [opinion[asked.action] for asked in questions]
         assert order == sorted(order, reverse=True)
 
 
 def test_wrong_actions_are_undone_stored_and_end_an_episode_when_none_is_left(make: Make, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: False)
-    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 8}, agent={"exploring_starts": 0.0})
+    settings = {"train": {"max_episodes": 8}, "agent": {"exploring_starts": 0.0}, "feedback": FORGETFUL}
+    trainer = make(clerk, judged_by=untrusting(reward), **settings)
     trainer.run()
     history = trainer.history
     assert set(history.lengths) == {0}
@@ -325,7 +263,7 @@ def test_wrong_actions_are_undone_stored_and_end_an_episode_when_none_is_left(ma
 
 def test_skipped_questions_teach_nothing_and_do_not_hang(make: Make, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: None)
-    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 8})
+    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 8}, feedback=FORGETFUL)
     trainer.run()
     assert trainer.questions == len(clerk.asked) > 0
     assert trainer.history.judged[ASKED] == 0
@@ -401,7 +339,7 @@ def test_an_interrupted_run_goes_on_from_its_checkpoint_and_journal_and_asks_no_
         stopped.run(lambda check: save_checkpoint(tmp_path, stopped, SHAPED_BY, 0.0))
     checkpoint = read_checkpoint(tmp_path, SHAPED_BY)
     assert checkpoint is not None
-    answered = int(checkpoint.about["state"]["counters"]["questions"])
+    answered = int(checkpoint.arrays["feedback/questions"])
     assert first_check.updates == 10
     assert answered < len(read_lines(journal)) == whole.questions - 3
     rest = make(JournalledOracle(counted, journal, answered), **settings)
@@ -431,7 +369,8 @@ def test_what_is_learned_from_agrees_with_the_scripted_expert(
     """Where everything is asked, the sign of each stored reward is the demonstrator's opinion."""
     clerk = Clerk()
     clerk.rule = lambda asked: bool(demonstrator_agrees(workcell.task, asked.pose[None], asked.reached[None])[0])
-    trainer = make(clerk, judged_by=untrusting(reward), agent={"replay": 10_000}, train={"max_steps": 300, **UNCHECKED})
+    settings = {"agent": {"replay": 10_000}, "train": {"max_steps": 300, **UNCHECKED}, "feedback": FORGETFUL}
+    trainer = make(clerk, judged_by=untrusting(reward), **settings)
     trainer.run()
     rewards = trainer.state()[0]["replay/rewards"]
     asked_right = sum(bool(clerk.rule(asked)) for asked in clerk.asked)

@@ -45,7 +45,7 @@ class ReplayBuffer:
 
     Attributes:
         capacity: how many are kept.
-        added: how many were ever added.
+        added: how many were added and not removed again, those that fell out of the ring included.
     """
 
     def __init__(self, capacity: int, inputs: int) -> None:
@@ -87,10 +87,18 @@ class ReplayBuffer:
         """Return a copy of everything held."""
         return Transitions(**{name: values[: len(self)].copy() for name, values in self._arrays.items()})
 
-    def revalue(self, rows: np.ndarray, rewards: NDArray[np.float32], at_goal: np.ndarray) -> None:
-        """Give transitions in ``rows`` (M,) other rewards (M,); ``at_goal`` (M,) says which reach the goal."""
+    def revalue(self, rows: np.ndarray, rewards: NDArray[np.float32], at_goal: np.ndarray, *, step_back: bool) -> None:
+        """Give transitions in ``rows`` (M,) other rewards (M,).
+
+        Args:
+            rows: which.
+            rewards: their new rewards.
+            at_goal: (M,) which reach the goal.
+            step_back: whether wrong actions are stepped back from.
+        """
         self._arrays["rewards"][rows] = rewards
         self._arrays["terminated"][rows] = at_goal & (rewards >= 0)
+        self._arrays["undone"][rows] = (rewards < 0) & step_back
 
     def remove(self, mask: np.ndarray) -> None:
         """Remove the transitions (len,) that a mask says, keeping the order of the others."""

@@ -66,6 +66,12 @@ class EpisodeBatch:
         self.tried[index] = False
         self.stored[index] = False
 
+    def reopen(self, pose: Array, action: int) -> None:
+        """Let episodes that are at a pose (7,) try an action from it anew."""
+        here = (self.poses == pose).all(axis=1)
+        self.tried[here, action] = False
+        self.stored[here, action] = False
+
     def state(self) -> dict[str, np.ndarray]:
         """Return everything held, as arrays."""
         return {name: getattr(self, name).copy() for name in self.__dataclass_fields__}

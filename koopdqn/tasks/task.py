@@ -63,7 +63,7 @@ class Task(TaskChoice):
     goal_rotation_tolerance_rad: float = Field(gt=0)
     pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the demonstrator looks along its path [m]")
     modelled_pull_back_m: float = Field(
-        ge=1e-3, le=1.0, description="the same of the intent model's made-up states; shorter where paths must not drift [m]"
+        ge=1e-3, le=1.0, description="the same of the intent model's made-up states, shorter against drift [m]"
     )
     centring: float = Field(
         ge=0,

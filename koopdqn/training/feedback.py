@@ -30,6 +30,20 @@ class Budget:
     when_spent: Literal["stop", "distrust", "scripted"] = "stop"
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a question.
+
+    Attributes:
+        right: whether the action was right; None if there was no answer.
+        reopened: poses (7,) and actions of which other things are known than when they were last tried: their answer
+            was withdrawn, or they are what would have been right.
+    """
+
+    right: bool | None
+    reopened: tuple[tuple[Array, int], ...] = ()
+
+
 class Feedback:
     """The reward function together with what answers have taught.
 
@@ -39,15 +53,30 @@ class Feedback:
         questions: questions that reached the oracle.
         substituted: questions that the scripted oracle answered because the budget was spent.
         recomputed: rewards in the replay buffer that were recomputed.
+        changes: how often what is known has changed since this object was made.
     """
 
-    def __init__(self, reward: IntentReward, oracle: Oracle, settings: FeedbackSettings, budget: Budget) -> None:
-        """Begin without answers."""
+    def __init__(
+        self, reward: IntentReward, oracle: Oracle, settings: FeedbackSettings, budget: Budget, *, step_back: bool
+    ) -> None:
+        """Begin without answers.
+
+        Args:
+            reward: the reward function.
+            oracle: who answers.
+            settings: what is made of answers.
+            budget: how many questions may be asked.
+            step_back: whether wrong actions are stepped back from.
+        """
         self.reward = reward
         self.memory = AnswerMemory(settings)
         self.questions = 0
         self.substituted = 0
         self.recomputed = 0
+        self.changes = 0
+        self._step_back = step_back
+        # Memory forgets contradictory answers, but who answers may withdraw them still.
+        self._standing: list[int] = []
         self._base = reward
         self._oracle = oracle
         self._settings = settings
@@ -82,26 +111,27 @@ class Feedback:
         judgement.known[recalled] = True
         return judgement
 
-    def ask(self, question: Question, judgement: Judgement, index: int, replay: ReplayBuffer) -> bool | None:
-        """Ask whether an action was right, and learn from the answer; None if there is none.
+    def ask(self, question: Question, judgement: Judgement, index: int, replay: ReplayBuffer) -> Outcome:
+        """Ask whether an action was right, and learn from the answer.
 
         Raises:
             PauseRequested: who answers wants to go on another time.
         """
         if self.spent:
             if self._budget.when_spent != "scripted":
-                return None
+                return Outcome(None)
             self.substituted += 1
-            return self._substitute.answer(question).right
+            return Outcome(self._substitute.answer(question).right)
         left = None if self._budget.most is None else self._budget.most - self.questions
         number = self.questions
         answer = self._oracle.answer(replace(question, left=left))
         self.questions += 1
-        if answer.undo:
-            self._withdraw(answer.undo, replay)
+        reopened = self._withdraw(answer.undo, replay) if answer.undo else []
+        if answer.better is not None:
+            reopened.append((question.pose, answer.better))
         self._learn(number, question, answer, judgement, index, replay)
         judgement.answer[index, question.action] = number
-        return answer.right
+        return Outcome(answer.right, tuple(reopened))
 
     def _learn(
         self, number: int, question: Question, answer: Answer, judgement: Judgement, index: int, replay: ReplayBuffer
@@ -109,6 +139,9 @@ class Feedback:
         said = [] if answer.right is None else [(question.action, answer.right)]
         if answer.better is not None and answer.better != question.action:
             said.append((answer.better, True))
+        if said:
+            self.changes += 1
+            self._standing.append(number)
         for action, right in said:
             agreed = bool(judgement.margin[index, action] >= 0) == right
             reached = judgement.reached[index, action].copy()
@@ -126,17 +159,20 @@ class Feedback:
         aside = self._base.path.distance(poses[:, pose.POSITION]) if len(poses) else np.zeros(0)
         return np.maximum(self._settings.least_reach_m, self._settings.reach * aside)
 
-    def _withdraw(self, count: int, replay: ReplayBuffer) -> None:
-        latest = sorted(set(self.memory.numbers))[-count:]
+    def _withdraw(self, count: int, replay: ReplayBuffer) -> list[tuple[Array, int]]:
+        """Withdraw the latest answers; return the poses (7,) and actions that they were about."""
+        latest = self._standing[-count:]
+        del self._standing[-count:]
+        self.changes += 1
         gone = set(latest)
-        poses = np.array(
-            [point for number, point in zip(self.memory.numbers, self.memory.poses, strict=True) if number in gone]
-        )
+        columns = zip(self.memory.numbers, self.memory.poses, self.memory.actions, strict=True)
+        about = [(point, action) for number, point, action in columns if number in gone]
         self.memory.withdraw(gone)
         replay.remove(np.isin(replay.held().answers, latest))
-        if self._settings.extend and len(poses):
+        if self._settings.extend and about:
             self._extend()
-            self._recompute(poses, replay)
+            self._recompute(np.array([point for point, _ in about]), replay)
+        return about
 
     def _recompute(self, poses: Array, replay: ReplayBuffer) -> None:
         """Give the trusted rewards near poses (M, 7) their present values; what is trusted no more is taken out."""
@@ -150,7 +186,7 @@ class Feedback:
             judged = self.reward.judge(held.poses[part], held.steps[part])
             each = np.arange(len(part)), held.actions[part]
             rewards = judged.reward[each].astype(np.float32)
-            replay.revalue(part, rewards, judged.at_goal[each])
+            replay.revalue(part, rewards, judged.at_goal[each], step_back=self._step_back)
             lost[part] = ~judged.known[each]
         self.recomputed += len(rows)
         if lost.any():
@@ -159,13 +195,14 @@ class Feedback:
     def state(self) -> dict[str, np.ndarray]:
         """Return everything held, as arrays."""
         counters = {name: np.array(getattr(self, name)) for name in _COUNTERS}
-        return {**self.memory.state(), **counters}
+        return {**self.memory.state(), **counters, "standing": np.array(self._standing, dtype=np.int64)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Hold what :meth:`state` returned."""
         self.memory.restore(state)
         for name in _COUNTERS:
             setattr(self, name, int(state[name]))
+        self._standing = state["standing"].tolist()
         if self._settings.extend:
             self._extend()
 

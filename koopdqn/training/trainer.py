@@ -73,7 +73,7 @@ class Trainer:
         """
         torch.set_num_threads(settings.threads)
         self.workcell = workcell
-        self.feedback = Feedback(reward, oracle, feedback, budget)
+        self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back)
         self.agent = agent
         self.settings = settings
         self._task = workcell.task
@@ -163,7 +163,12 @@ class Trainer:
         values = self.learner.online.values(observations)
         if self.agent.trials == "all":
             self._try_known(judgement, observations)
+        changes = self.feedback.changes
         for index in range(len(self._batch)):
+            if self.feedback.changes > changes:
+                # What one episode's answer has taught, or an undo has taken back, holds for the next one already.
+                changes = self.feedback.changes
+                judgement = self.feedback.judge(self._batch.poses, self._batch.steps)
             self._act(index, judgement, values[index], observations[index])
 
     def _try_known(self, judgement: Judgement, observations: np.ndarray) -> None:
@@ -184,7 +189,9 @@ class Trainer:
         batch = self._batch
         action = self._choose(judgement, index, values)
         if action is None:
-            self.feedback.memory.contradict(batch.poses[index])
+            # A question without an answer may have been about what is right.
+            if not (batch.tried[index] & ~batch.stored[index]).any():
+                self.feedback.memory.contradict(batch.poses[index])
             self._end(index)
             return
         motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
@@ -241,11 +248,13 @@ class Trainer:
             reason=trust.outside(reached, step + 1) or trust.outside(pose, step),
             candidates=judgement.reached[index].copy(),
         )
-        right = self.feedback.ask(question, judgement, index, self._replay)
-        if right is None:
+        outcome = self.feedback.ask(question, judgement, index, self._replay)
+        for point, other in outcome.reopened:
+            batch.reopen(point, other)
+        if outcome.right is None:
             return False
         at_goal = bool(judgement.at_goal[index, action])
-        judgement.reward[index, action] = self.feedback.reward.value(right, at_goal)
+        judgement.reward[index, action] = self.feedback.reward.value(outcome.right, at_goal)
         return True
 
     def _keep(

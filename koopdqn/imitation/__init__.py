@@ -1,0 +1,1 @@
+"""Learning from demonstrations alone, without intent model and oracle: what koopdqn is compared with."""

@@ -1,0 +1,57 @@
+"""Which actions demonstrations stand for: poses alone are demonstrated, so actions are inferred."""
+
+import numpy as np
+
+from koopdqn.dqn.observation import observe
+from koopdqn.dqn.replay import Transitions
+from koopdqn.environment.actions import legal_actions, reached_poses
+from koopdqn.environment.compare import excess
+from koopdqn.environment.reward import RULE
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+_NO_ANSWER = -1
+
+
+def nearest_actions(poses: Array, wished: Array, task: Task) -> np.ndarray:
+    """Return the legal actions (N,) that lead from poses (N, 7) nearest to wished poses (N, 7).
+
+    Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
+    """
+    far = excess(reached_poses(poses, task), wished[:, None], task)
+    return np.asarray(np.where(legal_actions(task), far, np.inf).argmin(axis=1))
+
+
+def demonstrated_transitions(trajectories: list[Array], task: Task) -> Transitions:
+    """Return every demonstrated step as a transition with its nearest action and reward 0.
+
+    A demonstration ends at its first pose that counts as the goal, or else at its last: that transition is terminated.
+
+    Args:
+        trajectories: demonstrated poses (N, 7) at the agent's step, each of at least two.
+        task: gives actions, tolerances and goal.
+    """
+    ended = [trajectory[: _end(trajectory, task) + 1] for trajectory in trajectories]
+    before = np.concatenate([trajectory[:-1] for trajectory in ended])
+    after = np.concatenate([trajectory[1:] for trajectory in ended])
+    terminated = np.concatenate([np.arange(1, len(trajectory)) == len(trajectory) - 1 for trajectory in ended])
+    count = len(before)
+    return Transitions(
+        observations=observe(before, task),
+        actions=nearest_actions(before, after, task),
+        rewards=np.zeros(count, dtype=np.float32),
+        following=observe(after, task),
+        terminated=terminated,
+        truncated=np.zeros(count, dtype=bool),
+        undone=np.zeros(count, dtype=bool),
+        poses=before,
+        steps=np.concatenate([np.arange(len(trajectory) - 1) for trajectory in ended]),
+        sources=np.full(count, RULE),
+        answers=np.full(count, _NO_ANSWER),
+    )
+
+
+def _end(trajectory: Array, task: Task) -> int:
+    """Return the index of a trajectory's first pose after its start that counts as the goal, or else of its last."""
+    reached = np.flatnonzero(task.reached(trajectory[1:]))
+    return int(reached[0]) + 1 if len(reached) else len(trajectory) - 1

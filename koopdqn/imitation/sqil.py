@@ -1,0 +1,145 @@
+"""SQIL (Reddy et al. 2019) on the agent's DQN: demonstrated steps are rewarded, its own are not."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from koopdqn.dqn.learner import Learner
+from koopdqn.dqn.observation import observe, size
+from koopdqn.dqn.policy import Policy
+from koopdqn.dqn.replay import FIELDS, ReplayBuffer, Transitions
+from koopdqn.dqn.settings import AgentSettings
+from koopdqn.environment.actions import COUNT, reached_poses
+from koopdqn.environment.episodes import EpisodeBatch, StartSampler
+from koopdqn.environment.reward import RULE
+from koopdqn.imitation.imitator import Imitator
+from koopdqn.imitation.inferred import demonstrated_transitions
+from koopdqn.pose import Array
+from koopdqn.workcell import Workcell
+
+# Sets its random numbers apart from those of demonstrations (1), training (2), checks (3) and evaluation (4).
+_STREAM: Final = 7
+_NO_ANSWER: Final = -1
+
+
+class Sqil:
+    """Soft Q imitation learning with this project's network, double DQN, exploration and starts.
+
+    A demonstrated step is worth 1 and a step of the agent's own 0, all times 1 − γ, which changes no policy and
+    keeps every value within 0…1. Half of a batch is demonstrated. The goal is an absorbing state in which the
+    demonstrator would stay (Kostrikov et al. 2019): else, as all rewards are 0 or more, it would pay never to arrive.
+    Instead of the paper's soft maximum the target is the agent's own, and exploring is ε-greedy. No intent model and no
+    oracle take part; nothing is undone, and an action that the arm cannot take leaves it where it is.
+
+    Attributes:
+        learner: the networks.
+        env_steps: actions tried.
+    """
+
+    def __init__(
+        self,
+        workcell: Workcell,
+        trajectories: list[Array],
+        agent: AgentSettings,
+        seed: int,
+        step_limit: int,
+        gamma: float = 0.95,
+    ) -> None:
+        """Begin.
+
+        Args:
+            workcell: task, arm and scene.
+            trajectories: demonstrated poses (N, 7) at the agent's step.
+            agent: how it learns; γ apart, and wrong actions are not stepped back from.
+            seed: fixes everything.
+            step_limit: steps after which an episode is cut.
+            gamma: γ; larger than the agent's, since only demonstrated steps are rewarded.
+        """
+        task = workcell.task
+        self._workcell = workcell
+        self._agent = agent.model_copy(update={"gamma": gamma})
+        self._shown = demonstrated_transitions(trajectories, task)
+        self._shown = replace(
+            self._shown, rewards=np.where(self._shown.terminated, 1.0, 1.0 - gamma).astype(np.float32)
+        )
+        weights, self._explore, self._draw = (np.random.default_rng([seed, _STREAM, part]) for part in range(3))
+        self.learner = Learner(size(task), self._agent, weights)
+        self.learner.normalise_to(self._shown.observations)
+        self._replay = ReplayBuffer(agent.replay, size(task))
+        self._starts = StartSampler(
+            task,
+            workcell.reachability,
+            trajectories,
+            agent.exploring_starts,
+            agent.exploring_in_region,
+            agent.exploring_spread_m,
+            agent.exploring_steps,
+            step_limit,
+        )
+        self._batch = EpisodeBatch.empty(agent.episodes_at_once)
+        self._begun = 0
+        for index in range(len(self._batch)):
+            self._begin(index)
+        self.env_steps = 0
+
+    def run(self, actions: int = 64_000) -> Imitator:
+        """Try at least that many actions, updating meanwhile as the agent does, and return what was learned."""
+        agent, rounds = self._agent, 0
+        while self.env_steps < actions:
+            self._round()
+            due = self.env_steps >= agent.warm_up and rounds % agent.rounds_per_update == 0
+            for _ in range(agent.updates_per_round if due else 0):
+                self.learner.update(self.batch())
+            rounds += 1
+        return Imitator(Policy(self.learner.online, self._workcell.task), self.learner.updates, self.env_steps)
+
+    def batch(self) -> Transitions:
+        """Return a batch for an update, the demonstrated half first; needs at least one action tried."""
+        half = max(1, self._agent.batch // 2)
+        rows = self._draw.integers(len(self._shown.actions), size=half)
+        own = self._replay.sample(self._draw, half)
+        return Transitions(
+            **{name: np.concatenate([getattr(self._shown, name)[rows], getattr(own, name)]) for name in FIELDS}
+        )
+
+    def _begin(self, index: int) -> None:
+        self._starts.begin(self._batch, index, self._begun, self._explore)
+        self._begun += 1
+
+    def _round(self) -> None:
+        """Let every episode try one action."""
+        batch, task = self._batch, self._workcell.task
+        count = len(batch)
+        before, steps = batch.poses.copy(), batch.steps.copy()
+        explore = self._explore.random(count) < self._agent.epsilon(self.env_steps)
+        observations = observe(before, task)
+        greedy = self.learner.online.values(observations).argmax(axis=1)
+        actions = np.where(explore, self._explore.integers(COUNT, size=count), greedy)
+        reached = reached_poses(before, task)[np.arange(count), actions]
+        motions = [self._workcell.reachability.move(*each) for each in zip(reached, batch.joints, strict=True)]
+        moved = np.array([motion.joints is not None for motion in motions])
+        after = np.where(moved[:, None], reached, before)
+        arrived = moved & task.reached(after)
+        cut = ~arrived & (steps + 1 >= batch.limits)
+        self._replay.add(
+            Transitions(
+                observations,
+                actions,
+                # Nothing for the step itself; from then on it stays where the demonstrator would.
+                np.where(arrived, self._agent.gamma, 0.0).astype(np.float32),
+                observe(after, task),
+                terminated=arrived,
+                truncated=cut,
+                undone=np.zeros(count, dtype=bool),
+                poses=before,
+                steps=steps,
+                sources=np.full(count, RULE),
+                answers=np.full(count, _NO_ANSWER),
+            )
+        )
+        self.env_steps += count
+        for index, motion in enumerate(motions):
+            batch.move(index, after[index], batch.joints[index] if motion.joints is None else motion.joints)
+            if arrived[index] or cut[index]:
+                self._begin(index)

@@ -1,0 +1,75 @@
+"""A small and short training, for tests of the trainer and of what answers do in it."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from parts import Parts
+
+from koopdqn.environment.reward import IntentReward
+from koopdqn.feedback.oracle import Oracle
+from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.pose import Array
+from koopdqn.training.feedback import Budget
+from koopdqn.training.trainer import Trainer
+from koopdqn.workcell import Workcell
+
+UNCHECKED = {"check_every": 10**6}
+FORGETFUL = {"remember_m": 0.0, "extend": False}
+"""Answers that teach nothing but the reward of the action asked about."""
+
+_AGENT = {
+    "batch": 16,
+    "replay": 400,
+    "warm_up": 60,
+    "episodes_at_once": 4,
+    "updates_per_round": 4,
+    "exploring_steps": 8,
+    "epsilon_steps": 1000,
+}
+_TRAIN = {"check_every": 10, "max_steps": 500, "max_episodes": 200, "stop": "limit", "check_success": 1.0}
+
+
+def small_trainer(
+    parts: Parts,
+    workcell: Workcell,
+    reward: IntentReward,
+    trajectories: list[Array],
+    oracle: Oracle | None = None,
+    seed: int = 0,
+    agent: dict[str, Any] | None = None,
+    train: dict[str, Any] | None = None,
+    feedback: dict[str, Any] | None = None,
+    budget: Budget = Budget(),  # noqa: B008 (frozen)
+) -> Trainer:
+    """Return a trainer of a second or two, with some settings changed.
+
+    It learns the last part of the demonstrations: a low step limit, so that checks are short.
+    """
+    network = parts.agent.network.model_copy(update={"hidden": (8,), "fourier_features": 8})
+    return Trainer(
+        workcell,
+        reward,
+        [rows[-20:] for rows in trajectories[:3]],
+        oracle or ScriptedOracle(workcell.task),
+        parts.agent.model_copy(update={"network": network, **_AGENT, **(agent or {})}),
+        parts.train.model_copy(update={**_TRAIN, **(train or {})}),
+        seed,
+        parts.feedback.model_copy(update=feedback or {}),
+        budget,
+    )
+
+
+def untrusting(reward: IntentReward) -> IntentReward:
+    """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
+    trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
+    return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
+
+
+def assert_same_run(one: Trainer, two: Trainer) -> None:
+    (arrays, about), (other_arrays, other_about) = one.state(), two.state()
+    for part in about:
+        assert about[part] == other_about[part], part
+    assert arrays.keys() == other_arrays.keys()
+    for name, values in arrays.items():
+        np.testing.assert_array_equal(values, other_arrays[name], err_msg=name)
