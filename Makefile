@@ -10,11 +10,13 @@ VENV ?= .venv
 PYTHON ?=
 # The tasks that `make ablations` measures: shelf, knife or both.
 TASKS ?= shelf
+# After how many minutes `make study` begins no new run.
+MINUTES ?= 90
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench ablations docs figures package constraints clean
+.PHONY: help setup demo test learn lint format types bench ablations study docs figures package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -52,6 +54,9 @@ bench: $(STAMP) ## Measure speed on this machine
 
 ablations: $(STAMP) ## Measure what each idea adds, on TASKS; takes about half an hour a task, goes on where it stopped
 	$(BIN)/python scripts/ablations.py --tasks $(TASKS)
+
+study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
+	$(BIN)/python scripts/study.py --minutes $(MINUTES)
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py

@@ -63,13 +63,17 @@ _FORMATS: Final[dict[Format, Callable[[float], str]]] = {
 }
 
 
+def shown(value: float | None, kind: Format) -> str:
+    """Return a value as a cell, a dash where it is not known."""
+    return "–" if value is None else _FORMATS[kind](value)
+
+
 def spread(values: Sequence[float | None], kind: Format) -> str:
     """Return "mean (least–largest)" of the values that are known, the mean alone where they do not differ."""
     known = [value for value in values if value is not None]
     if not known:
-        return "–"
-    show = _FORMATS[kind]
-    low, mean, high = show(min(known)), show(fmean(known)), show(max(known))
+        return shown(None, kind)
+    low, mean, high = (shown(value, kind) for value in (min(known), fmean(known), max(known)))
     return mean if low == high else f"{mean} ({low}–{high})"
 
 

@@ -26,6 +26,8 @@ class Variant:
     most_actions: int = ALL_TRIED
 
 
+FORGETFUL: Final = ("feedback.extend=false", "feedback.remember_m=0.0")
+
 VARIANTS: Final = (
     Variant("default", (), "the default config"),
     Variant(
@@ -35,16 +37,17 @@ VARIANTS: Final = (
         "no-step-back", ("agent.trials=chosen", "agent.step_back=false"), "the same without stepping back", ONE_TRIED
     ),
     Variant("trust-everywhere", ("trust=everywhere",), "no trust domain: the model decides everywhere (D7)"),
-    Variant("trust-nowhere", ("trust=nowhere",), "the person is asked everywhere, the likeliest action first (D18)"),
-    # The order of asking hides wrong actions from the network; asking about the chosen action, as the paper does, not.
+    # Asking the likeliest action first would hide wrong actions from the network; asking about the chosen one does not.
     Variant(
         "always-ask",
-        ("trust=nowhere", "agent.trials=chosen"),
+        ("trust=nowhere", "agent.trials=chosen", *FORGETFUL),
         "the person is asked about every chosen action (D18)",
         ONE_TRIED,
     ),
-    Variant("one-sigma", ("trust=box", "trust.sigmas=1.0"), "trust within 1 σ (D7)"),
+    Variant("forgetful", FORGETFUL, "answers neither remembered nor extending anything (D25, D26)"),
+    Variant("one-sigma", ("trust=box", "trust.sigmas=1.0"), "trust within 1 σ of every component (D7)"),
     Variant("two-sigmas", ("trust=box", "trust.sigmas=2.0"), "trust within 2 σ (D7)"),
+    Variant("three-sigmas", ("trust=box", "trust.sigmas=3.0"), "trust within 3 σ (D7)"),
     Variant("line", ("intent=line",), "a line fit instead of a Koopman model"),
     Variant("paper-lift", ("intent=paper",), "the paper's lift, fitted as the paper does (D1–D3)"),
     Variant(
@@ -52,6 +55,7 @@ VARIANTS: Final = (
         ("intent.stabilisation.copies=0", "intent.stabilisation.far_copies=0"),
         "no made-up states (D2)",
     ),
+    Variant("no-centring", ("reward.centring=0.0",), "the right action nearest to the prediction is best (D28)"),
     Variant("raw-prediction", ("reward.prediction=raw",), "the raw prediction is compared (D4)"),
     Variant("sign", ("reward.shape=sign",), "rewards of one size (D5)"),
     Variant("no-doubt", ("reward.doubt=0.0",), "close comparisons count too (D6)"),

@@ -10,16 +10,16 @@ result, 1 if a command crashed (its output lies beside the run; the other runs a
 
 import argparse
 import os
-import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
+import measured_runs
 from ablation_tables import Row, with_tables
 from ablation_variants import VARIANTS, Variant
-from omegaconf import OmegaConf
+from measured_runs import Command, Launch, Training, launch
 
 from koopdqn import console
 from koopdqn.errors import BadInputError
@@ -66,21 +66,21 @@ class Run:
         limit = f"train.max_steps={self.variant.most_actions}"
         return [f"task={self.task}", *self.variant.overrides, limit, f"seed={self.seed}"]
 
-    def commands(self) -> list[tuple[str, list[str]]]:
+    @property
+    def training(self) -> Training:
+        """Its training."""
+        return Training(self.folder / "train", tuple(self.overrides), self.folder)
+
+    def commands(self) -> list[Command]:
         """Return what is left to do: names and arguments of the koopdqn commands, none if the run is finished.
 
         Raises:
             BadInputError: the folder holds a training with other overrides.
         """
-        train, measured = self.folder / "train", self.folder / "eval"
-        if (measured / "eval.json").is_file() and self._trained():
+        measured, left = self.folder / "eval", self.training.commands()
+        if not left and (measured / "eval.json").is_file():
             return []
-        left = []
-        if not self._trained():
-            begun = self._recorded() is not None
-            left.append(("train", [f"run={train}"] if begun else [*self.overrides, f"out={train}"]))
-        left.append(("eval", [f"run={train}", f"out={measured}", *EVALUATION]))
-        return left
+        return [*left, ("eval", [f"run={self.training.folder}", f"out={measured}", *EVALUATION])]
 
     def row(self) -> Row | None:
         """Return the result, or None if the run is not finished."""
@@ -101,49 +101,6 @@ class Run:
             failures={cause: count for cause, count in measured["failures"].items() if count},
             evaluated=measured["episodes"],
         )
-
-    def _trained(self) -> bool:
-        recorded = self._recorded()
-        if recorded is not None and sorted(recorded) != sorted(self.overrides):
-            raise BadInputError(
-                f"{self.folder / 'train'}: must be a training with {' '.join(self.overrides)}, found one with"
-                f" {' '.join(recorded)}; remove {self.folder} to measure anew"
-            )
-        return recorded is not None and (self.folder / "train" / "train.json").is_file()
-
-    def _recorded(self) -> list[str] | None:
-        path = self.folder / "train" / ".hydra" / "overrides.yaml"
-        if not path.is_file():
-            return None
-        recorded = [str(item) for item in OmegaConf.load(path)]
-        return [item for item in recorded if item.partition("=")[0] not in ("command", "out")]
-
-
-Launch = Callable[[str, Sequence[str], Path], int]
-"""Carries out a koopdqn command: its name, its arguments, the file for its output; gives its exit status."""
-
-
-def launch(command: str, arguments: Sequence[str], output: Path) -> int:
-    """Carry out a koopdqn command in a process of its own, so that its end is not ours."""
-    output.parent.mkdir(parents=True, exist_ok=True)
-    with output.open("a", encoding="utf-8") as file:
-        call = [sys.executable, "-m", "koopdqn", command, *arguments]
-        return subprocess.run(call, stdin=subprocess.DEVNULL, stdout=file, stderr=file).returncode
-
-
-def carry_out(run: Run, launch: Launch = launch) -> str:
-    """Do what is left of a run; return "" or, if a command crashed, one line that says so.
-
-    Raises:
-        BadInputError: the folder holds a training with other overrides.
-    """
-    for command, arguments in run.commands():
-        output = run.folder / f"{command}.txt"
-        status = launch(command, arguments, output)
-        # A training that did not learn ends with 1 too, but with its report.
-        if status != 0 and not (command == "train" and status == 1 and (run.folder / "train" / "train.json").is_file()):
-            return f"{run.name}: koopdqn {command} ended with exit status {status}, see {output}"
-    return ""
 
 
 def runs_of(tasks: Iterable[str], variants: Sequence[Variant], seeds: Sequence[int], root: Path = FOLDER) -> list[Run]:
@@ -169,26 +126,18 @@ def write_results(root: Path = FOLDER, page: Path = PAGE) -> list[Row]:
 
 
 def measure(runs: Sequence[Run], launch: Launch = launch) -> int:
-    """Carry out what is left of the runs and write the results; return the exit status.
+    """Carry out what is left of the runs, telling what came of each; return the exit status.
 
     Raises:
         BadInputError: the folder of a run holds a training with other overrides.
     """
-    for run in runs:
-        run.commands()  # other overrides are found out before hours are spent
-    crashes = []
-    with console.stage("Ablations", len(runs)) as stage:
-        for run in runs:
-            stage.advance(0, run.name)
-            crash = carry_out(run, launch)
-            if crash:
-                crashes.append(crash)
-                console.warn(crash)
-            elif (row := run.row()) is not None:
-                verdict = "learned" if row.learned else "not learned"
-                console.note(f"{run.name}: {verdict}, success {row.success_rate:.0%}, {row.oracle_queries} questions")
-            stage.advance(1)
-    return 1 if crashes else 0
+
+    def finished(run: Run) -> None:
+        if (row := run.row()) is not None:
+            verdict = "learned" if row.learned else "not learned"
+            console.note(f"{run.name}: {verdict}, success {row.success_rate:.0%}, {row.oracle_queries} questions")
+
+    return measured_runs.measure("Ablations", runs, finished, launch)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

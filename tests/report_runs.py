@@ -27,7 +27,7 @@ CAUSES = ("unreachable", "velocity_limit", "collision", "rule_broken", "stuck", 
 def about(parts: Parts, seed: int) -> dict[str, Any]:
     """Return a policy's metadata, as training writes it."""
     names = {"task": parts.task, "intent": parts.intent, "trust": parts.trust, "agent": parts.agent}
-    names |= {"robot": parts.arm, "reward": parts.reward, "train": parts.train}
+    names |= {"robot": parts.arm, "reward": parts.reward, "feedback": parts.feedback, "train": parts.train}
     described_parts = {name: described(settings) for name, settings in names.items()}
     # What decides when a training stops shapes no byte of what it does until then.
     for key in ("stop", "extend", "max_steps", "max_episodes"):
@@ -102,7 +102,7 @@ def method(mean: float) -> dict[str, Any]:
 
 def eval_report(task: Task, run: str) -> dict[str, Any]:
     baselines = {name: method(20.0) for name in ("straight_line", "greedy", "nearest_demonstration")}
-    rest = {"episodes": 10, "seed": 2000, "redrawn_starts": 0, "step_limit": 700, "dynamics": None}
+    rest = {"episodes": 10, "seed": 2000, "start_scale": 1.0, "redrawn_starts": 0, "step_limit": 700, "dynamics": None}
     return {**method(5.0), **rest, "task": task.name, "baselines": baselines, "run": run}
 
 

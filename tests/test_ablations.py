@@ -18,6 +18,7 @@ import ablations
 from ablation_tables import BEGIN, END, Row, spread, table, with_tables
 from ablation_variants import ALL_TRIED, VARIANTS, Variant
 from ablations import Run
+from measured_runs import carry_out
 
 ROW = Row(
     task="shelf",
@@ -112,7 +113,7 @@ def test_every_variant_is_a_valid_config_other_than_the_default(task: str, varia
 def test_a_run_trains_then_evaluates_and_is_not_made_again(tmp_path: Path) -> None:
     run, launcher = Run("shelf", SIGN, 1, tmp_path), Launcher()
     assert run.row() is None
-    assert ablations.carry_out(run, launcher) == ""
+    assert carry_out(run, launcher) == ""
     (first, trained_with), (second, measured_with) = launcher.calls
     assert (first, second) == ("train", "eval")
     expected = ["task=shelf", "reward.shape=sign", f"train.max_steps={ALL_TRIED}", "seed=1"]
@@ -121,7 +122,7 @@ def test_a_run_trains_then_evaluates_and_is_not_made_again(tmp_path: Path) -> No
     row = run.row()
     assert row is not None
     assert (row.seed, row.success_rate, row.failures) == (1, 0.98, {"collision": 2})
-    assert ablations.carry_out(run, launcher) == ""
+    assert carry_out(run, launcher) == ""
     assert len(launcher.calls) == 2
 
 
@@ -136,7 +137,7 @@ def test_an_interrupted_training_goes_on_and_a_finished_one_is_only_evaluated(tm
 
 def test_a_run_that_does_not_learn_is_a_row(tmp_path: Path) -> None:
     run = Run("shelf", SIGN, 0, tmp_path)
-    assert ablations.carry_out(run, Launcher(train_status=1)) == ""
+    assert carry_out(run, Launcher(train_status=1)) == ""
     row = run.row()
     assert row is not None
     assert not row.learned
@@ -150,7 +151,7 @@ def test_a_crash_is_told_and_the_others_go_on(tmp_path: Path, capsys: pytest.Cap
 
     runs = ablations.runs_of(["shelf"], [SIGN], [1, 2], tmp_path)
     assert ablations.measure(runs, launch) == 1
-    assert "shelf sign seed 1: koopdqn train ended with exit status 1" in capsys.readouterr().err
+    assert "shelf sign seed 1: train ended with exit status 1" in capsys.readouterr().err
     assert runs[0].row() is None
     assert runs[1].row() is not None
 
@@ -167,7 +168,7 @@ def test_results_of_other_overrides_are_refused_before_anything_runs(tmp_path: P
 def test_the_results_are_written_from_what_is_finished(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"above\n\n{BEGIN}\n{END}\n\nbelow\n", encoding="utf-8")
-    ablations.carry_out(Run("knife", SIGN, 2, tmp_path), Launcher())
+    carry_out(Run("knife", SIGN, 2, tmp_path), Launcher())
     rows = ablations.write_results(tmp_path, page)
     assert [(row.task, row.variant, row.seed) for row in rows] == [("knife", "sign", 2)]
     held = json.loads((tmp_path / "ablations.json").read_text(encoding="utf-8"))

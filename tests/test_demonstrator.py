@@ -66,7 +66,7 @@ def test_it_comes_to_the_goal_from_anywhere_in_the_start_region(shelf_task: Shel
     assert pose.rotation_distance(passed[-1], shelf_task.goal).max() < 1e-6
     # Ten look-ahead distances further on, the path is held, but for cutting its bends a little.
     held = np.array(passed)[int(10 * shelf_task.pull_back_m / shelf_task.step_m) :].reshape(-1, 7)[:, :3]
-    assert np.linalg.norm(held - path.at(path.nearest(held)), axis=1).max() < 0.002
+    assert np.linalg.norm(held - path.at(path.nearest(held)), axis=1).max() < 0.2 * shelf_task.pull_back_m
 
 
 def test_it_is_a_function_of_the_pose_alone(shelf_task: ShelfTask) -> None:

@@ -118,8 +118,9 @@ def test_a_command_shown_composes_to_a_valid_config(
         assert arguments == []
         return
     if command == "feedback":
-        subcommand = get_command(cli.app).commands["feedback"].commands[arguments[0]]  # type: ignore[attr-defined]
-        subcommand.make_context(arguments[0], arguments[1:])
+        group = get_command(cli.app).commands["feedback"]  # type: ignore[attr-defined]
+        if arguments:
+            group.commands[arguments[0]].make_context(arguments[0], arguments[1:])
         return
     for argument in arguments:
         if argument.startswith("run="):

@@ -97,11 +97,11 @@ def test_actions_by_rule_are_wrong_without_asking(workcell: Workcell, reward: In
 
 
 def test_what_the_arm_cannot_do_is_wrong_without_asking(workcell: Workcell, reward: IntentReward) -> None:
-    """Always right and always +x ends at the shelf: the wall is never entered."""
+    """Always right and always +y ends at the shelf: the side wall is never entered."""
     clerk = Clerk()
     environment = KoopmanEnvironment(workcell, untrusting(reward), clerk, 1000, 0)
     environment.reset()
-    rewards = [environment.step(4).reward for _ in range(120)]
+    rewards = [environment.step(6).reward for _ in range(120)]
     assert rewards[0] == 1.0
     assert rewards[-1] == -1.0
     blocked = rewards.index(-1.0)

@@ -8,7 +8,7 @@ from koopdqn.workcell import Workcell
 
 
 def sampler(workcell: Workcell, trajectories: list[Array], share: float, region: float = 0.0) -> StartSampler:
-    return StartSampler(workcell.task, workcell.reachability, trajectories, share, region, 0.008, 40, 750)
+    return StartSampler(workcell.task, workcell.reachability, trajectories, share, region, 1.0, 0.008, 40, 750)
 
 
 def begun(starts: StartSampler, count: int, seed: int = 0) -> EpisodeBatch:

@@ -20,7 +20,9 @@ from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, Controller
 
-SETTINGS = EvaluationSettings(episodes=5, seed=2000, dynamics=True, dynamics_episodes=2, time_scale=2.0, baselines=True)
+SETTINGS = EvaluationSettings(
+    episodes=5, seed=2000, start_scale=1.0, dynamics=True, dynamics_episodes=2, time_scale=2.0, baselines=True
+)
 SHORT = SETTINGS.model_copy(update={"dynamics": False, "baselines": False})
 
 

@@ -3,14 +3,14 @@ import json
 import numpy as np
 import pytest
 
-from koopdqn.environment.reward import ASKED, RULE, TRUSTED
+from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED
 from koopdqn.training.history import Check, History
 
 
 def some_history() -> History:
     history = History([1.5, -2.0], [3, 4], [True, False], [0.25], [Check(250, 1000, 9, 0.5, {"collision": 10})])
-    history.judged[[RULE, TRUSTED, ASKED]] = [7, 8, 4]
-    history.agreed[[RULE, TRUSTED, ASKED]] = [0, 6, 4]
+    history.judged[[RULE, TRUSTED, ASKED, REMEMBERED]] = [7, 8, 4, 5]
+    history.agreed[[RULE, TRUSTED, ASKED, REMEMBERED]] = [0, 6, 4, 2]
     return history
 
 
@@ -23,13 +23,13 @@ def test_it_comes_back_through_json_and_goes_on() -> None:
 
 
 def test_agreement_is_the_share_of_each_source_but_rules() -> None:
-    assert some_history().agreement() == {"trusted": pytest.approx(0.75), "asked": pytest.approx(1.0)}
-    assert some_history().counts() == {"trusted": 8, "asked": 4}
+    assert some_history().agreement() == pytest.approx({"trusted": 0.75, "asked": 1.0, "remembered": 0.4})
+    assert some_history().counts() == {"trusted": 8, "asked": 4, "remembered": 5}
 
 
 def test_where_no_reward_was_given_there_is_no_share() -> None:
-    assert History().agreement() == {"trusted": None, "asked": None}
-    assert History().counts() == {"trusted": 0, "asked": 0}
+    assert History().agreement() == {"trusted": None, "asked": None, "remembered": None}
+    assert History().counts() == {"trusted": 0, "asked": 0, "remembered": 0}
 
 
 def test_two_histories_share_nothing() -> None:

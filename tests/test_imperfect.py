@@ -29,3 +29,8 @@ def test_what_it_does_depends_on_seed_and_number_alone() -> None:
     late = [oracle.answer(replace(question(1), number=number)).right for number in range(200, COUNT)]
     assert late == whole[200:]
     assert answers(0.5, 0.2, seed=1) != whole
+
+
+def test_its_answers_can_be_written_down() -> None:
+    """A journal takes Python's booleans alone."""
+    assert {type(right) for right in answers(0.5, 0.2)} == {bool, type(None)}

@@ -66,8 +66,8 @@ def history() -> History:
         exploring=(rng.random(count) < 0.5).tolist(),
         losses=[0.1, 0.03, 0.01, 0.004],
         checks=checks,
-        judged=np.array([0, 9000, 40]),
-        agreed=np.array([0, 8900, 40]),
+        judged=np.array([0, 9000, 40, 300]),
+        agreed=np.array([0, 8900, 40, 297]),
     )
 
 

@@ -81,3 +81,35 @@ def test_the_state_is_a_copy() -> None:
     buffer = filled(4, [3])
     buffer.state()["rewards"][:] = 99
     assert buffer.sample(np.random.default_rng(0), 30).rewards.max() < 99
+
+
+@given(capacity=st.integers(1, 12), sizes=sizes_lists, gone=st.sets(st.integers(0, 71)), more=st.integers(0, 15))
+def test_removing_keeps_order_and_content_of_the_others(
+    capacity: int, sizes: list[int], gone: set[int], more: int
+) -> None:
+    buffer, total = filled(capacity, sizes), sum(sizes)
+    newest = range(max(0, total - capacity), total)
+    kept = [number for number in newest if number not in gone]
+    buffer.remove(np.isin(buffer.held().observations[:, 0], list(gone)))
+    wanted = numbered(kept)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(buffer.held(), name), getattr(wanted, name))
+    # It goes on as a buffer that never held the others: the oldest still go first.
+    buffer.add(numbered(list(range(500, 500 + more))))
+    assert held(buffer) == set([*kept, *range(500, 500 + more)][-capacity:] if more or kept else [])
+
+
+@pytest.mark.parametrize("step_back", [True, False])
+def test_other_rewards_change_what_follows_from_their_sign_and_nothing_else(step_back: bool) -> None:
+    buffer = filled(10, [8])
+    before, rows = buffer.held(), np.array([1, 2, 5, 6])
+    rewards, at_goal = np.array([1.0, -1.0, -0.5, 0.0], np.float32), np.array([True, True, False, False])
+    buffer.revalue(rows, rewards, at_goal, step_back=step_back)
+    after, others = buffer.held(), np.setdiff1d(np.arange(8), rows)
+    np.testing.assert_array_equal(after.rewards[rows], rewards)
+    np.testing.assert_array_equal(after.terminated[rows], [True, False, False, False])
+    np.testing.assert_array_equal(after.undone[rows], [False, step_back, step_back, False])
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(after, name)[others], getattr(before, name)[others])
+        if name not in ("rewards", "terminated", "undone"):
+            np.testing.assert_array_equal(getattr(after, name), getattr(before, name))

@@ -9,7 +9,7 @@ from koopdqn import pose
 from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
-from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
 
 SIGN = RewardSettings(
@@ -37,7 +37,8 @@ def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Ar
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
     poses, steps = beside(trajectories, seed, 20, spread)
     for prediction in ("raw", "rescaled"):
-        judged = reward_with(reward, shape="sign", prediction=prediction, doubt=0.0, goal=0.0).judge(poses, steps)
+        fields = {"shape": "sign", "prediction": prediction, "doubt": 0.0, "centring": 0.0, "goal": 0.0}
+        judged = reward_with(reward, **fields).judge(poses, steps)
         wished = (
             reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
         )
@@ -52,7 +53,7 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
     reward: IntentReward, trajectories: list[Array], seed: int, spread: float, size: float
 ) -> None:
     poses, steps = beside(trajectories, seed, 20, spread)
-    signed = reward_with(reward, shape="sign", size=size, goal=0.0).judge(poses, steps).reward
+    signed = reward_with(reward, shape="sign", centring=0.0, size=size, goal=0.0).judge(poses, steps).reward
     margin = reward_with(reward, shape="margin", size=size, goal=0.0).judge(poses, steps).reward
     np.testing.assert_array_equal(margin >= 0, signed >= 0)
     assert np.abs(margin).max() <= size
@@ -61,7 +62,7 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
 
 def test_a_larger_margin_is_nearer_to_the_prediction(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 0, 30, 0.002)
-    judged = reward_with(reward, shape="margin", goal=0.0).judge(poses, steps)
+    judged = reward_with(reward, shape="margin", centring=0.0, goal=0.0).judge(poses, steps)
     distance = pose.position_distance(judged.reached, judged.predicted[:, None])
     for row in range(len(poses)):
         order = np.argsort(distance[row, AXES])
@@ -91,7 +92,7 @@ def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, traj
     judged = reward.judge(poses, steps)
     np.testing.assert_array_equal(judged.known, judged.source != ASKED)
     assert set(np.unique(judged.source)) == {RULE, TRUSTED, ASKED}
-    assert SOURCES == ("rule", "trusted", "asked")
+    assert SOURCES == ("rule", "trusted", "asked", "remembered")
 
 
 @pytest.mark.parametrize("needs", ["reached", "both"])
@@ -112,7 +113,7 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
     assert (there & ~here[:, None])[:, AXES].any(), "some case must tell the two apart"
 
 
-class _Recording(TrustDomain):
+class _Recording(Tube):
     """A trust domain that keeps which steps it was asked about."""
 
     def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
@@ -142,11 +143,12 @@ def test_doubt_leaves_the_best_action_and_the_clear_ones(reward: IntentReward, t
     np.testing.assert_array_equal(sure.reward, doubting.reward)
     dropped = (sure.source == TRUSTED) & (doubting.source == ASKED)
     assert dropped.any()
-    assert np.abs(sure.reward[dropped]).max() < 0.3
-    best = sure.reward[:, 1:].argmax(axis=1) + 1
+    assert np.abs(sure.margin[dropped]).max() < 0.3
+    best = sure.margin.argmax(axis=1)
     rows = np.arange(len(poses))
     np.testing.assert_array_equal(doubting.source[rows, best], sure.source[rows, best])
-    np.testing.assert_array_equal(doubting.source[np.abs(sure.reward) > 0.3], sure.source[np.abs(sure.reward) > 0.3])
+    clear = np.abs(sure.margin) > 0.3
+    np.testing.assert_array_equal(doubting.source[clear], sure.source[clear])
 
 
 def test_reaching_the_goal_rightly_is_worth_more(reward: IntentReward) -> None:
@@ -175,3 +177,44 @@ def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, traje
     for rows in trajectories[:2]:
         judged = reward.judge(rows[:-2], np.arange(len(rows) - 2))
         assert (judged.reward >= 0).any(axis=1).all()
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 1000), spread=st.floats(0, 0.03), shape=st.sampled_from(["sign", "margin"]))
+def test_centring_changes_no_sign_and_no_wrong_actions_reward(
+    reward: IntentReward, trajectories: list[Array], seed: int, spread: float, shape: str
+) -> None:
+    poses, steps = beside(trajectories, seed, 20, spread)
+    plain = reward_with(reward, shape=shape, centring=0.0, goal=0.0).judge(poses, steps)
+    centred = reward_with(reward, shape=shape, centring=1.0, goal=0.0).judge(poses, steps)
+    np.testing.assert_array_equal(plain.reward >= 0, centred.reward >= 0)
+    wrong = plain.reward < 0
+    np.testing.assert_array_equal(plain.reward[wrong], centred.reward[wrong])
+    assert np.abs(centred.reward).max() <= 1.0
+    for name in ("known", "source", "margin"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(centred, name))
+
+
+def test_near_the_mean_path_a_right_action_that_comes_nearer_to_it_gets_more(
+    reward: IntentReward, trajectories: list[Array]
+) -> None:
+    poses, steps = beside(trajectories, 4, 200, 0.003)
+    judged = reward_with(reward, shape="sign", centring=0.9, goal=0.0).judge(poses, steps)
+    aside = reward.path.distance(judged.reached.reshape(-1, 7)[:, :3]).reshape(judged.reward.shape)
+    told_apart = 0
+    for row in range(len(poses)):
+        right = np.flatnonzero(judged.margin[row] >= 0)
+        order = right[np.argsort(aside[row, right])]
+        assert np.all(np.diff(judged.reward[row, order]) <= 1e-12)
+        told_apart += int(np.ptp(judged.reward[row, right]) > 0.1) if len(right) > 1 else 0
+    assert told_apart > 20
+
+
+def test_far_from_the_mean_path_centring_vanishes(reward: IntentReward, trajectories: list[Array]) -> None:
+    poses, steps = beside(trajectories, 5, 200, 0.01)
+    plain = reward_with(reward, centring=0.0, goal=0.0).judge(poses, steps).reward
+    narrow = reward_with(reward, centring=0.9, centring_within_m=0.002, goal=0.0).judge(poses, steps).reward
+    far = reward.path.distance(poses[:, :3]) > 0.016
+    assert 20 < far.sum() < len(poses)
+    np.testing.assert_allclose(narrow[far], plain[far], atol=1e-12)
+    assert np.abs(narrow - plain)[~far].max() > 0.1

@@ -18,8 +18,8 @@ from koopdqn import cli
 if sys.platform == "win32":
     pytest.skip("needs a POSIX terminal", allow_module_level=True)
 
-# A narrow trust domain leaves some dozens of questions at most.
-ASKING = (*SMALL, "trust=box", "trust.sigmas=1.2")
+# A narrow trust domain, and answers that hold close by only, leave some dozens of questions at most.
+ASKING = (*SMALL, "trust=box", "trust.sigmas=0.8", "feedback.least_reach_m=0.003", "feedback.reach=0.0")
 RESTORED = re.compile(rb"\x1b\[\?25h\x1b\[\?1049l")
 
 

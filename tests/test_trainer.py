@@ -326,6 +326,7 @@ def test_an_interrupted_run_goes_on_from_its_checkpoint_and_journal_and_asks_no_
     settings = {
         "agent": {"updates_per_round": 1, "warm_up": 20},
         "train": {"check_every": 10, "max_steps": 300},
+        "feedback": FORGETFUL,
         "judged_by": untrusting(reward),
     }
     expert = ScriptedOracle(workcell.task)

@@ -137,8 +137,7 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
 def _lines(report: dict[str, Any], folder: Path) -> list[str]:
     agreement = report["reward_agreement"]
     shown = ", ".join(
-        f"{name} {'none given' if share is None else format(share, '.1%')}"
-        for name, share in agreement.items()
+        f"{name} {'none given' if share is None else format(share, '.1%')}" for name, share in agreement.items()
     )
     verdict = "learned" if report["learned"] else "NOT learned within the limits"
     return [

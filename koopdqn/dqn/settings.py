@@ -43,6 +43,9 @@ class AgentSettings(Settings):
     exploring_in_region: Fraction = Field(
         description="share of those that begin in the start region; the others begin along a demonstration"
     )
+    exploring_scale: float = Field(
+        ge=1, le=10, description="how many times wider than the start region those may begin"
+    )
     exploring_spread_m: float = Field(
         gt=0, le=0.5, description="how far beside it they begin, a standard deviation [m]"
     )

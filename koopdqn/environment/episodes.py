@@ -95,7 +95,8 @@ class StartSampler:
         reachability: refuses what the arm cannot take.
         trajectories: demonstrated poses (N, 7) at the agent's step.
         share: share of exploring starts.
-        region_share: share of the exploring starts that lie in the start region.
+        region_share: share of the exploring starts that lie in and around the start region.
+        region_scale: how many times wider than the start region they may lie.
         spread: standard deviation of their offset [m].
         exploring_steps: step limit of exploring episodes.
         step_limit: step limit of the others.
@@ -107,6 +108,7 @@ class StartSampler:
     trajectories: list[Array]
     share: float
     region_share: float
+    region_scale: float
     spread: float
     exploring_steps: int
     step_limit: int
@@ -118,7 +120,11 @@ class StartSampler:
         if batch.exploring[index] and rng.random() >= self.region_share:
             pose, motion = self._along_demonstration(rng)
         else:
-            poses, joints, refused = self.reachability.draw_starts(self.task, rng, 1)
+            region = self.task
+            if batch.exploring[index]:
+                # Draws shrink toward the region's middle, so that the region itself is seen most.
+                region = self.task.with_starts_scaled(1.0 + (self.region_scale - 1.0) * float(rng.random()))
+            poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
             self.refused += refused
             pose, motion = poses[0], Motion(joints[0])
         assert motion.joints is not None  # both ways draw until the arm can

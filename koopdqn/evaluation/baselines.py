@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.environment.actions import legal_actions, reached_poses
-from koopdqn.environment.compare import excess
+from koopdqn.imitation.inferred import nearest_actions
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rollout import Episode, follow, roll_out
@@ -56,8 +55,7 @@ class Greedy:
     def __call__(self, poses: Array) -> np.ndarray:
         """Return the actions (N,) from poses (N, 7)."""
         wished = self.model.preferred(poses, self.task.step_m)
-        far = excess(reached_poses(poses, self.task), wished[:, None], self.task)
-        return np.asarray(np.where(legal_actions(self.task), far, np.inf).argmin(axis=1))
+        return nearest_actions(poses, wished, self.task)
 
 
 def greedy(workcell: Workcell, model: IntentModel, starts: Array, joints: Array, step_limit: int) -> list[Episode]:

@@ -81,7 +81,9 @@ def evaluate(
     """
     task = workcell.task
     rng = np.random.default_rng([settings.seed, _STREAM])
-    starts, joints, redrawn = workcell.reachability.draw_starts(task, rng, settings.episodes)
+    starts, joints, redrawn = workcell.reachability.draw_starts(
+        task.with_starts_scaled(settings.start_scale), rng, settings.episodes
+    )
     references = reference_paths(task, starts, step_limit) if held_out is None else None
     episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
     advance(len(episodes))
@@ -108,6 +110,7 @@ def evaluate(
         task=task.name,
         episodes=settings.episodes,
         seed=settings.seed,
+        start_scale=settings.start_scale,
         redrawn_starts=redrawn,
         step_limit=step_limit,
         dynamics=dynamics,

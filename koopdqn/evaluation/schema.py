@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from koopdqn.config.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.config.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 from koopdqn.schema import ReportModel
 
 IntervalList = Annotated[list[Fraction], Field(min_length=2, max_length=2)]
@@ -162,6 +162,7 @@ class EvaluationReport(MethodReport):
     task: Name = Field(description="name of the task")
     episodes: Count = Field(description="held-out starts")
     seed: NonNegativeInt = Field(description="of the starts")
+    start_scale: Positive = Field(description="half ranges of the start region, in those the task trains with")
     redrawn_starts: NonNegativeInt = Field(
         description="draws of the start region that the arm could not take and that were drawn again"
     )

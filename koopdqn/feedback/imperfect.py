@@ -52,4 +52,4 @@ class ImperfectOracle(Oracle):
         errs, skips = np.random.default_rng([self.seed, _STREAM, question.number]).random(2)
         if answer.right is None or skips < self.silent:
             return replace(answer, right=None)
-        return replace(answer, right=answer.right != (errs < self.wrong))
+        return replace(answer, right=answer.right != bool(errs < self.wrong))

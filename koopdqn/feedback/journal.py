@@ -80,8 +80,12 @@ class JournalledOracle(Oracle):
         self._oracle = oracle
         self._path = path
         self._progress = ""
-        self._records = read_records(path) if path.exists() else Records()
-        _check(path, self._records, position)
+        records = read_records(path) if path.exists() else Records()
+        _check(path, records, position)
+        self._written = records.items
+        # Kept up to date rather than counted anew: a run may ask tens of thousands of questions.
+        self._earlier = [item.earlier for item in records.withdrawable]
+        self._pending = records.pending
         self._file = JournalFile(path)
 
     def answer(self, question: Question) -> Answer:
@@ -91,8 +95,8 @@ class JournalledOracle(Oracle):
             BadInputError: the journal does not fit the run, or the oracle's answer is none.
             PauseRequested: who answers wants to go on another time.
         """
-        if self.questions < len(self._records.items):
-            answer = written_answer(self._records.items[self.questions], question, self._path)
+        if self.questions < len(self._written):
+            answer = written_answer(self._written[self.questions], question, self._path)
         else:
             progress = question.progress or self._progress
             answer = self._asked(replace(question, number=self.questions, progress=progress))
@@ -111,19 +115,19 @@ class JournalledOracle(Oracle):
 
     def _asked(self, question: Question) -> Answer:
         while True:
-            earlier = tuple(item.earlier for item in self._records.withdrawable)
-            answer = self._oracle.answer(replace(question, earlier=earlier))
-            _check_answer(answer, len(earlier), question)
-            withdrawn = earlier[::-1][: answer.undo]
-            for item in withdrawn:
-                self._file.append(_undo_line(item, question))
-            self._records = _with_withdrawn(self._records, withdrawn)
+            answer = self._oracle.answer(replace(question, earlier=self._earlier))
+            _check_answer(answer, len(self._earlier), question)
+            for _ in range(answer.undo):
+                self._file.append(_undo_line(self._earlier.pop(), question))
+            self._pending += answer.undo
             if not answer.again:
                 break
         line = answer_line(question.number, question, answer)
         self._file.append(line)
-        record = Record(line, self._records.pending)
-        self._records = Records((*self._records.items, record))
+        record = Record(line, self._pending)
+        self._pending = 0
+        if line.right is not None:
+            self._earlier.append(record.earlier)
         return record.answer
 
 
@@ -168,12 +172,6 @@ def _undo_line(item: Earlier, question: Question) -> UndoLine:
     return UndoLine(
         kind="undo", number=item.number, before=question.number, episode=question.episode, step=question.step
     )
-
-
-def _with_withdrawn(records: Records, withdrawn: tuple[Earlier, ...]) -> Records:
-    numbers = {item.number for item in withdrawn}
-    items = (replace(item, withdrawn=True) if item.line.number in numbers else item for item in records.items)
-    return Records(tuple(items), records.pending + len(withdrawn))
 
 
 def _cut_torn_line(path: Path) -> None:

@@ -1,6 +1,7 @@
 """The oracle: who says right or wrong where the intent model is not trusted (getHumanFeedback in Algorithm 1)."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -56,7 +57,7 @@ class Question:
         left: questions that the budget leaves, this one included; None without a budget.
         candidates: the poses (10, 7) that all actions reach; None if unknown.
         progress: one line about how the learning goes, for people.
-        earlier: the answers that may be withdrawn, oldest first.
+        earlier: the answers that may be withdrawn at this moment, oldest first.
     """
 
     episode: int
@@ -70,7 +71,7 @@ class Question:
     left: int | None = None
     candidates: Array | None = None
     progress: str = ""
-    earlier: tuple[Earlier, ...] = ()
+    earlier: Sequence[Earlier] = ()
 
 
 @dataclass(frozen=True)

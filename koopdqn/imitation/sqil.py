@@ -1,5 +1,7 @@
 """SQIL (Reddy et al. 2019) on the agent's DQN: demonstrated steps are rewarded, its own are not."""
 
+from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 from typing import Final
 
@@ -44,7 +46,7 @@ class Sqil:
         agent: AgentSettings,
         seed: int,
         step_limit: int,
-        gamma: float = 0.95,
+        gamma: float = 0.8,
     ) -> None:
         """Begin.
 
@@ -73,6 +75,7 @@ class Sqil:
             trajectories,
             agent.exploring_starts,
             agent.exploring_in_region,
+            agent.exploring_scale,
             agent.exploring_spread_m,
             agent.exploring_steps,
             step_limit,
@@ -83,16 +86,34 @@ class Sqil:
             self._begin(index)
         self.env_steps = 0
 
-    def run(self, actions: int = 64_000) -> Imitator:
-        """Try at least that many actions, updating meanwhile as the agent does, and return what was learned."""
-        agent, rounds = self._agent, 0
+    def run(
+        self,
+        actions: int = 64_000,
+        check: Callable[[Policy], float] = lambda policy: 0.0,
+        check_every: int = 400,
+    ) -> Imitator:
+        """Try at least that many actions, updating meanwhile as the agent does, and return what was learned.
+
+        Args:
+            actions: how many.
+            check: says how good a policy is; of the best the latest is returned.
+            check_every: updates between two checks; there is one more at the end.
+        """
+        agent, rounds, best, score = self._agent, 0, self._policy(), -np.inf
         while self.env_steps < actions:
             self._round()
             due = self.env_steps >= agent.warm_up and rounds % agent.rounds_per_update == 0
             for _ in range(agent.updates_per_round if due else 0):
                 self.learner.update(self.batch())
+                if self.learner.updates % check_every == 0 and (found := check(self._policy())) >= score:
+                    best, score = self._policy(), found
             rounds += 1
-        return Imitator(Policy(self.learner.online, self._workcell.task), self.learner.updates, self.env_steps)
+        if check(self._policy()) >= score:
+            best = self._policy()
+        return Imitator(best, self.learner.updates, self.env_steps)
+
+    def _policy(self) -> Policy:
+        return Policy(deepcopy(self.learner.online), self._workcell.task)
 
     def batch(self) -> Transitions:
         """Return a batch for an update, the demonstrated half first; needs at least one action tried."""

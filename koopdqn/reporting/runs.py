@@ -22,6 +22,8 @@ POLICY: Final = "policy.safetensors"
 DEMONSTRATIONS: Final = "demos.hdf5"
 ABLATIONS: Final = "ablations"
 """Name of the folder below ``runs/`` whose runs are shown in a table of their own."""
+STUDY: Final = "study"
+"""Name of the folder below ``runs/`` whose runs docs/study.md shows."""
 
 # What tells two runs of one configuration apart.
 _OF_ONE_RUN: Final = ("seed", "made_from", "network")
@@ -125,7 +127,7 @@ def _below(folders: Sequence[Path], name: str) -> list[Path]:
     found = []
     for folder in folders:
         files = sorted(folder.rglob(name)) if folder.is_dir() else []
-        found += [file for file in files if ABLATIONS not in file.relative_to(folder).parts]
+        found += [file for file in files if not {ABLATIONS, STUDY} & set(file.relative_to(folder).parts)]
     return found
 
 

@@ -1,7 +1,7 @@
 """A task that demonstrations alone define: their starts, their goal, and going on as they did."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -97,6 +97,10 @@ class DemonstratedTask(Task):
         """The law of the training demonstrations: go on as the nearest one was going."""
         largest_turn = TURNS_PER_STEP * self.rotation_tolerance_rad if self.turning == "geodesic" else 0.0
         return DemonstratedLaw.of(self.trajectories, self.goal, self.step_m, self.pull_back_m, largest_turn)
+
+    def with_starts_scaled(self, scale: float) -> Self:
+        """Return the task with ``scale`` times the distance that a start may lie from a demonstrated one."""
+        return self.model_copy(update={"start_margin_m": scale * self.start_margin_m})
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7), each beside the start of a training demonstration drawn evenly.

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, Strict, model_validator
@@ -176,6 +176,11 @@ class Task(TaskChoice):
     def demonstrator_on(self, path: SmoothPath) -> Demonstrator:
         """Return the person's law on another path."""
         return Demonstrator(path, self.goal, self.step_m, self.pull_back_m, self.turn_law)
+
+    def with_starts_scaled(self, scale: float) -> Self:
+        """Return the task with the half ranges of its start region times ``scale``; tilts stay."""
+        x, y, z = self.start_half_range_m
+        return self.model_copy(update={"start_half_range_m": (scale * x, scale * y, scale * z)})
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7) drawn evenly from the start region, turned about the turn's own axis."""

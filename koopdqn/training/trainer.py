@@ -88,6 +88,7 @@ class Trainer:
             trajectories,
             agent.exploring_starts,
             agent.exploring_in_region,
+            agent.exploring_scale,
             agent.exploring_spread_m,
             agent.exploring_steps,
             self.step_limit,

@@ -1,0 +1,56 @@
+"""The lines of the table that `make study` makes: what is trained, how it is measured, and with which seeds."""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+SEEDS: Final = tuple(range(10))
+FEW: Final = SEEDS[:3]
+"""Of lines whose single run takes minutes."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line.
+
+    Attributes:
+        name: of the line and of its folder.
+        about: in a few words what it is.
+        overrides: what the training changes of the default preset.
+        evaluation: what the evaluation changes of it.
+        of: name of the line whose training is measured, if it has none of its own.
+        method: what learns from that training's demonstrations instead, if anything does.
+        seeds: with which seeds it is measured.
+    """
+
+    name: str
+    about: str
+    overrides: tuple[str, ...] = ()
+    evaluation: tuple[str, ...] = ()
+    of: str = ""
+    method: Literal["", "cloning", "sqil"] = ""
+    seeds: tuple[int, ...] = SEEDS
+
+
+DEFAULT: Final = "default"
+LINES: Final = (
+    Line(DEFAULT, "the default preset", evaluation=("eval.baselines=true",)),
+    Line("cloning", "behavioural cloning from observation", of=DEFAULT, method="cloning"),
+    Line("sqil", "SQIL on the same network", of=DEFAULT, method="sqil"),
+    Line("gamma-0", "no look-ahead", ("agent.gamma=0.0",)),
+    Line(
+        "always-ask",
+        "asked about every chosen action, nothing remembered",
+        ("trust=nowhere", "agent.trials=chosen", "feedback.extend=false", "feedback.remember_m=0.0"),
+        seeds=FEW,
+    ),
+    Line("wrong-answers", "one answer in twenty wrong", ("oracle=noisy", "oracle.wrong=0.05")),
+    Line("wide", "the default, starts three times wider", evaluation=("eval.start_scale=3.0",), of=DEFAULT),
+    Line("continued", "trained on to five times the actions", ("train.stop=limit", "train.extend=5.0"), seeds=FEW),
+)
+BASELINES: Final = {
+    "greedy": "greedy on the intent model",
+    "nearest_demonstration": "nearest demonstration replayed",
+    "straight_line": "straight line to the goal",
+}
+"""What evaluating the default measures beside it: keys of ``eval.json`` and what they are."""
+PAPER: Final = "the paper preset"

@@ -1,0 +1,371 @@
+"""What answers do in training: what is remembered, extended, withdrawn and asked at all."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_trainer, untrusting
+from parts import Clerk, Parts
+
+from koopdqn import pose
+from koopdqn.environment.reward import ASKED, REMEMBERED, TRUSTED, IntentReward, Judgement
+from koopdqn.feedback.imperfect import ImperfectOracle
+from koopdqn.feedback.journal import JournalledOracle
+from koopdqn.feedback.oracle import Answer, Oracle, Question
+from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.pose import Array
+from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
+from koopdqn.training.feedback import Budget, Feedback
+from koopdqn.training.trainer import Trainer
+from koopdqn.workcell import Workcell
+
+Make = Callable[..., Trainer]
+SHAPED_BY = {"seed": 0}
+REMEMBERING = {"extend": False, "remember_m": 0.004}
+
+
+@pytest.fixture
+def make(parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]) -> Make:
+    """Make a small trainer whose model is trusted nowhere."""
+
+    def trainer(oracle: Oracle | None = None, **changes: Any) -> Trainer:
+        changes = {"train": {"max_steps": 300, **UNCHECKED}, **changes}
+        return small_trainer(parts, workcell, untrusting(reward), trajectories, oracle, **changes)
+
+    return trainer
+
+
+class Scripted(Clerk):
+    """An oracle that follows a list of answers and then the expert."""
+
+    def __init__(self, expert: Oracle, answers: dict[int, Answer]) -> None:
+        super().__init__()
+        self.expert = expert
+        self.answers = answers
+
+    def answer(self, question: Question) -> Answer:
+        self.asked.append(question)
+        return self.answers.get(len(self.asked) - 1) or self.expert.answer(question)
+
+
+def question_at(judged: Judgement, point: Array, action: int) -> Question:
+    return Question(0, 0, point.copy(), action, judged.reached[0, action].copy(), judged.predicted[0].copy(), "")
+
+
+def ask(trainer: Trainer, point: Array, action: int) -> bool | None:
+    """Ask about an action at a pose (7,) as training does, without an episode."""
+    judged = trainer.feedback.judge(point[None], np.array([0]))
+    return trainer.feedback.ask(question_at(judged, point, action), judged, 0, trainer._replay).right
+
+
+def unexpected(reward: IntentReward, point: Array) -> int:
+    """Return an axis that the model finds wrong at a pose (7,), though half right."""
+    margin = reward.judge(point[None], np.array([0])).margin[0]
+    return int(np.where(margin < 0, margin, -np.inf).argmax())
+
+
+def assert_same_judgement(one: IntentReward | Feedback, two: IntentReward | Feedback, poses: Array) -> None:
+    judged, other = (each.judge(poses, np.zeros(len(poses), dtype=int)) for each in (one, two))
+    for name in Judgement.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(judged, name), getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_an_answer_holds_for_its_action_nearby_and_names_itself(
+    make: Make, trajectories: list[Array], right: bool
+) -> None:
+    trainer = make(Clerk(lambda question: right), feedback=REMEMBERING)
+    point = trajectories[0][100]
+    action = int(trainer.feedback.judge(point[None], np.array([0])).margin[0].argmax())
+    assert ask(trainer, point, action) is right
+    near, far = point.copy(), point.copy()
+    near[0] += 0.0002
+    far[0] += 0.005
+    judged = trainer.feedback.judge(np.array([point, near, far]), np.array([0, 0, 0]))
+    np.testing.assert_array_equal(judged.known[:, action], [True, True, False])
+    for row in (0, 1):
+        assert judged.source[row, action] == REMEMBERED
+        assert judged.answer[row, action] == 0
+        assert (judged.reward[row, action] >= 0) == right
+    others = np.delete(judged.source, action, axis=1)
+    assert not (others == REMEMBERED).any()
+
+
+def test_what_is_remembered_is_counted_and_not_asked_again_nearby(make: Make, workcell: Workcell) -> None:
+    clerks, trainers = [], []
+    for feedback in (FORGETFUL, REMEMBERING):
+        expert = ScriptedOracle(workcell.task)
+        clerks.append(Scripted(expert, {}))
+        trainers.append(make(clerks[-1], feedback=feedback))
+        trainers[-1].run()
+    forgetful, remembering = trainers
+    assert forgetful.history.judged[REMEMBERED] == 0 < remembering.history.judged[REMEMBERED]
+    assert remembering.history.counts()["remembered"] == remembering.history.judged[REMEMBERED]
+    settings = remembering.feedback.memory.settings
+    for later, asked in enumerate(clerks[1].asked):
+        for earlier in clerks[1].asked[:later]:
+            if earlier.action == asked.action:
+                # An answer that agrees with the model holds only as far as the model's opinion does.
+                gap = float(pose.position_distance(asked.pose, earlier.pose))
+                same = np.sign(_margin(remembering, asked)) == np.sign(_margin(remembering, earlier))
+                assert gap > settings.remember_m or not same
+
+
+def _margin(trainer: Trainer, asked: Question) -> float:
+    return float(trainer.feedback.reward.judge(asked.pose[None], np.array([asked.step])).margin[0, asked.action])
+
+
+def test_a_yes_extends_trust_so_that_fewer_questions_follow(make: Make) -> None:
+    plain, extending = make(feedback={"extend": False}), make(feedback={"extend": True})
+    for trainer in (plain, extending):
+        trainer.run()
+    assert 0 < extending.questions < 0.5 * plain.questions
+    assert plain.history.judged[TRUSTED] == 0 < extending.history.judged[TRUSTED]
+    assert extending.env_steps >= 300 <= plain.env_steps
+
+
+def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: Make, trajectories: list[Array]) -> None:
+    trainer = make(agent={"replay": 5000})
+    trainer.run()
+    trainer.feedback._oracle = Clerk()
+    held = trainer._replay.held()
+    trusted = held.sources == TRUSTED
+    point = held.poses[np.flatnonzero(trusted)[0]]
+    before = trainer.feedback.reward
+    action = unexpected(before, point)
+    reached = before.judge(point[None], np.array([0])).reached[0, action]
+    assert ask(trainer, point, action)
+    after = trainer.feedback.reward
+    gaps = [pose.position_distance(each.predicted(point[None])[0], reached) for each in (before, after)]
+    assert gaps[1] < 0.1 * gaps[0]
+    held = trainer._replay.held()
+    rows = np.flatnonzero(held.sources == TRUSTED)
+    judged = after.judge(held.poses[rows], held.steps[rows])
+    each = np.arange(len(rows)), held.actions[rows]
+    assert judged.known[each].all()
+    np.testing.assert_allclose(held.rewards[rows], judged.reward[each], atol=1e-6)
+    np.testing.assert_array_equal(held.undone[rows], held.rewards[rows] < 0)
+    np.testing.assert_array_equal(held.terminated[rows], judged.at_goal[each] & (held.rewards[rows] >= 0))
+    assert trainer.feedback.recomputed > 0
+
+
+def test_an_undo_takes_back_the_answers_transitions_and_its_effect_but_no_counter(
+    make: Make, trajectories: list[Array]
+) -> None:
+    trainer = make(agent={"replay": 5000})
+    trainer.run()
+    points = np.concatenate(trajectories)[::7]
+    held, before = trainer._replay.held(), replace_reward(trainer)
+    counters = trainer.questions, trainer.env_steps, trainer.learner.updates, trainer.next_episode
+    point = trajectories[0][60]
+    action = unexpected(trainer.feedback.reward, point)
+    number = trainer.questions
+    trainer.feedback._oracle = Clerk()
+    ask(trainer, point, action)
+    assert trainer.feedback.memory.numbers[-1] == number
+    other = trainer.feedback.judge(point[None], np.array([0]))
+    assert other.known[0, action]
+    trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1)})
+    assert ask(trainer, trajectories[0][90], 5) is None
+    assert number not in trainer.feedback.memory.numbers
+    assert_same_judgement(trainer.feedback.reward, before, points)
+    now = trainer._replay.held()
+    assert number not in now.answers
+    # What rests on other answers, on rules or on a trusted model that is as it was has stayed.
+    np.testing.assert_array_equal(now.poses, held.poses)
+    np.testing.assert_allclose(now.rewards, held.rewards, atol=1e-6)
+    questions, *others = counters
+    assert trainer.questions == questions + 2
+    assert (trainer.env_steps, trainer.learner.updates, trainer.next_episode) == tuple(others)
+
+
+def replace_reward(trainer: Trainer) -> IntentReward:
+    """Return the trainer's present reward function, made anew from its answers."""
+    feedback = trainer.feedback
+    yeses, before, after = feedback.memory.extension()
+    return feedback._base.extended(yeses, feedback._radii(yeses), before, after)
+
+
+def test_an_undo_removes_exactly_the_transitions_of_the_withdrawn_answers(make: Make) -> None:
+    trainer = make(feedback=REMEMBERING, agent={"replay": 5000})
+    trainer.run()
+    held = trainer._replay.held()
+    standing = sorted(set(trainer.feedback.memory.numbers))
+    gone = standing[-3:]
+    trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=3)})
+    point = held.poses[0]
+    ask(trainer, point, 5)
+    now, kept = trainer._replay.held(), ~np.isin(held.answers, gone)
+    assert (~kept).sum() > 0
+    for name in ("poses", "actions", "rewards", "answers"):
+        np.testing.assert_array_equal(getattr(now, name), getattr(held, name)[kept])
+    assert set(trainer.feedback.memory.numbers) == set(standing[:-3])
+
+
+def test_an_undo_withdraws_the_latest_answers_even_if_a_contradiction_has_forgotten_them(
+    make: Make, trajectories: list[Array]
+) -> None:
+    trainer = make(Clerk(lambda question: question.action == 4), feedback=REMEMBERING)
+    one, two = trajectories[0][40], trajectories[0][120]
+    ask(trainer, one, 4)
+    ask(trainer, two, 5)
+    trainer.feedback.memory.contradict(two)
+    assert trainer.feedback.memory.numbers == [0]
+    trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1)})
+    ask(trainer, one, 6)
+    assert trainer.feedback.memory.numbers == [0], "the no was the latest answer, not the yes"
+
+
+def test_a_better_action_is_known_and_right_at_the_pose(make: Make, trajectories: list[Array]) -> None:
+    for feedback in (REMEMBERING, {"extend": True}):
+        trainer = make(Scripted(Clerk(), {0: Answer(False, "clerk", better=8)}), feedback=feedback)
+        point = trajectories[0][100]
+        assert ask(trainer, point, 5) is False
+        judged = trainer.feedback.judge(point[None], np.array([0]))
+        assert judged.known[0, 8]
+        assert judged.reward[0, 8] > 0
+        assert judged.known[0, 5]
+        assert judged.reward[0, 5] < 0
+
+
+def test_a_better_action_is_taken_next_even_if_it_was_passed_over(make: Make) -> None:
+    """The first question is skipped; the second answer says that the first action would have been right."""
+    clerk = Clerk()
+
+    def answered(question: Question) -> Answer:
+        clerk.asked.append(question)
+        if len(clerk.asked) == 1:
+            return Answer(None, "clerk")
+        return Answer(False, "clerk", better=clerk.asked[0].action)
+
+    clerk.answer = answered  # type: ignore[method-assign]
+    trainer = make(clerk, agent={"episodes_at_once": 1}, feedback=REMEMBERING)
+    for _ in range(2):
+        trainer._round()
+    first = clerk.asked[0]
+    assert len(clerk.asked) == 2
+    trainer._round()
+    np.testing.assert_array_equal(trainer._batch.poses[0], first.reached)
+    assert len(clerk.asked) == 2
+
+
+@pytest.mark.parametrize("when_spent", ["stop", "distrust", "scripted"])
+def test_a_spent_budget_asks_no_more(make: Make, workcell: Workcell, when_spent: str) -> None:
+    clerk = Scripted(ScriptedOracle(workcell.task), {})
+    trainer = make(
+        clerk,
+        budget=Budget(5, when_spent),  # type: ignore[arg-type]  # one of the literals
+        feedback=FORGETFUL,
+        train={"max_steps": 300, "max_episodes": 60, **UNCHECKED},
+    )
+    trainer.run()
+    assert trainer.questions == len(clerk.asked) == 5
+    assert [asked.left for asked in clerk.asked] == [5, 4, 3, 2, 1]
+    assert trainer.feedback.spent
+    assert trainer.feedback.stopped == (when_spent == "stop")
+    substituted = trainer.feedback.substituted
+    assert (substituted > 0) == (when_spent == "scripted")
+    assert trainer.history.judged[ASKED] == 5 + substituted
+    if when_spent != "stop":
+        assert trainer.env_steps >= 300 or len(trainer.history.rewards) >= 60
+
+
+def test_without_a_budget_none_is_spent(make: Make) -> None:
+    trainer = make()
+    trainer.run()
+    assert not trainer.feedback.spent
+    assert trainer.feedback.substituted == 0
+
+
+@pytest.mark.parametrize("feedback", [FORGETFUL, REMEMBERING, {}])
+def test_an_oracle_that_never_answers_does_not_keep_training_for_ever(make: Make, feedback: dict[str, Any]) -> None:
+    trainer = make(Clerk(lambda question: None), train={"max_episodes": 20}, feedback=feedback)
+    trainer.run()
+    assert 20 <= len(trainer.history.rewards) <= 24
+    assert len(trainer.feedback.memory) == 0
+    assert trainer.history.judged[ASKED] == 0
+
+
+def test_skipped_questions_are_no_contradiction(make: Make) -> None:
+    """One no and six skips at a pose leave nothing to try there, and the no stands."""
+    said: set[int] = set()
+
+    def rule(question: Question) -> bool | None:
+        if question.episode in said:
+            return None
+        said.add(question.episode)
+        return False
+
+    trainer = make(Clerk(rule), train={"max_episodes": 8}, feedback=REMEMBERING)
+    trainer.run()
+    assert trainer.feedback.memory.contradictions == 0
+    assert len(trainer.feedback.memory) == len(said) > 0
+
+
+def test_an_oracle_that_says_no_to_everything_contradicts_itself(make: Make) -> None:
+    trainer = make(Clerk(lambda question: False), train={"max_episodes": 8}, feedback=REMEMBERING)
+    trainer.run()
+    assert trainer.feedback.memory.contradictions >= 8
+
+
+def undoing(workcell: Workcell) -> Oracle:
+    """An expert who now and then withdraws an answer or two, or says what would have been better."""
+    expert = ScriptedOracle(workcell.task)
+    stray = {4: 1, 9: 2, 15: 1}
+
+    class _Undoing(Oracle):
+        def answer(self, question: Question) -> Answer:
+            answer = expert.answer(question)
+            undo = min(stray.get(question.number, 0), len(question.earlier))
+            return replace(answer, undo=undo)
+
+    return _Undoing()
+
+
+def test_a_killed_run_with_answers_remembered_extended_and_withdrawn_goes_on_as_if_never_stopped(
+    make: Make, workcell: Workcell, tmp_path: Path
+) -> None:
+    settings: dict[str, Any] = {
+        "agent": {"updates_per_round": 1, "warm_up": 20},
+        "train": {"check_every": 20, "max_steps": 700},
+        "feedback": {"least_reach_m": 0.003, "reach": 0.0},
+    }
+    journal = tmp_path / "whole.jsonl"
+    whole = make(JournalledOracle(undoing(workcell), journal, 0), **settings)
+    saved: list[int] = []
+
+    def save_once(_: object) -> None:
+        if not saved and whole.questions > 16:
+            saved.append(whole.questions)
+            save_checkpoint(tmp_path, whole, SHAPED_BY, 0.0)
+
+    whole.run(save_once)
+    assert saved
+    assert saved[0] < whole.questions, "some answers must come after the checkpoint"
+    assert len(whole.feedback.memory) > 0
+    checkpoint = read_checkpoint(tmp_path, SHAPED_BY)
+    assert checkpoint is not None
+    answered = int(checkpoint.arrays["feedback/questions"])
+    written = journal.read_bytes()
+    rest = make(JournalledOracle(undoing(workcell), journal, answered), **settings)
+    rest.restore(checkpoint.arrays, checkpoint.about["state"])
+    rest.run()
+    assert_same_run(rest, whole)
+    assert journal.read_bytes() == written
+
+
+def test_a_run_with_a_noisy_oracle_is_fixed_by_its_seeds(make: Make, workcell: Workcell, tmp_path: Path) -> None:
+    def run(name: str, seed: int) -> Trainer:
+        noisy = ImperfectOracle(ScriptedOracle(workcell.task), wrong=0.2, silent=0.1, seed=seed)
+        trainer = make(JournalledOracle(noisy, tmp_path / name, 0), feedback={"least_reach_m": 0.003, "reach": 0.0})
+        trainer.run()
+        return trainer
+
+    one, two, other = run("one", 3), run("two", 3), run("other", 4)
+    assert_same_run(one, two)
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+    assert (tmp_path / "one").read_bytes() != (tmp_path / "other").read_bytes()
+    assert one.history.agreement()["asked"] < 1.0 > other.history.agreement()["asked"]  # type: ignore[operator]
