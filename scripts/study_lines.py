@@ -35,7 +35,7 @@ DEFAULT: Final = "default"
 LINES: Final = (
     Line(DEFAULT, "the default preset", evaluation=("eval.baselines=true",)),
     Line("cloning", "behavioural cloning from observation", of=DEFAULT, method="cloning"),
-    Line("sqil", "SQIL on the same network", of=DEFAULT, method="sqil"),
+    Line("sqil", "SQIL on the same network", of=DEFAULT, method="sqil", seeds=FEW),
     Line("gamma-0", "no look-ahead", ("agent.gamma=0.0",)),
     Line(
         "always-ask",

@@ -102,7 +102,8 @@ def method(mean: float) -> dict[str, Any]:
 
 def eval_report(task: Task, run: str) -> dict[str, Any]:
     baselines = {name: method(20.0) for name in ("straight_line", "greedy", "nearest_demonstration")}
-    rest = {"episodes": 10, "seed": 2000, "start_scale": 1.0, "redrawn_starts": 0, "step_limit": 700, "dynamics": None}
+    rest: dict[str, Any] = {"episodes": 10, "seed": 2000, "start_scale": 1.0, "redrawn_starts": 0, "step_limit": 700}
+    rest |= {"dynamics": None, "holdout": None}
     return {**method(5.0), **rest, "task": task.name, "baselines": baselines, "run": run}
 
 

@@ -9,6 +9,8 @@ from koopdqn import pose
 from koopdqn.config.settings import Settings
 from koopdqn.pose import Array
 
+Row = tuple[float, ...]
+
 
 class FeedbackSettings(Settings):
     """What is made of answers beyond the reward of the action asked about."""
@@ -41,12 +43,13 @@ class AnswerMemory:
 
     settings: FeedbackSettings
     numbers: list[int] = field(default_factory=list)
-    poses: list[Array] = field(default_factory=list)
+    poses: list[Row] = field(default_factory=list)
     actions: list[int] = field(default_factory=list)
-    reached: list[Array] = field(default_factory=list)
+    reached: list[Row] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     agreed: list[bool] = field(default_factory=list)
     contradictions: int = 0
+    _stacked: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         """Return the number of answers held."""
@@ -54,8 +57,11 @@ class AnswerMemory:
 
     def add(self, number: int, point: Array, action: int, reached: Array, *, right: bool, agreed: bool) -> None:
         """Remember the answer of a number to a question about a pose (7,), an action and the pose it reached (7,)."""
-        for values, value in zip(self._columns(), (number, point, action, reached, right, agreed), strict=True):
+        # Rows of plain floats: thousands of small arrays kept would hold the allocator's larger blocks apart.
+        row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, agreed)
+        for values, value in zip(self._columns(), row, strict=True):
             values.append(value)
+        self._stacked = None
 
     def recall(self, poses: Array, count: int) -> np.ndarray:
         """Return which answer holds for each of ``count`` actions from poses (N, 7): its place (N, count), or −1.
@@ -65,7 +71,7 @@ class AnswerMemory:
         found = np.full((len(poses), count), -1)
         if not len(self) or self.settings.remember_m == 0.0:
             return found
-        known, actions = np.array(self.poses), np.array(self.actions)
+        known, actions = self._known, np.array(self.actions)
         moved = pose.position_distance(poses[:, None], known[None])
         turned = pose.rotation_distance(poses[:, None], known[None])
         near = (moved <= self.settings.remember_m) & (turned <= self.settings.remember_rad)
@@ -87,11 +93,12 @@ class AnswerMemory:
 
     def contradict(self, point: Array) -> None:
         """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong."""
-        moved = [float(pose.position_distance(point, other)) for other in self.poses]
-        noes = [not right and gap <= self.settings.remember_m for right, gap in zip(self.right, moved, strict=True)]
-        if any(noes):
+        if not len(self):
+            return
+        noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
+        if noes.any():
             self.contradictions += 1
-            self._keep([not no for no in noes])
+            self._keep((~noes).tolist())
 
     def state(self) -> dict[str, np.ndarray]:
         """Return everything held, as arrays."""
@@ -109,8 +116,15 @@ class AnswerMemory:
         """Hold what :meth:`state` returned."""
         self.numbers, self.actions = state["numbers"].tolist(), state["actions"].tolist()
         self.right, self.agreed = state["right"].tolist(), state["agreed"].tolist()
-        self.poses, self.reached = list(state["poses"]), list(state["reached"])
+        self.poses, self.reached = ([tuple(row) for row in state[name].tolist()] for name in ("poses", "reached"))
+        self._stacked = None
         self.contradictions = int(state["contradictions"])
+
+    @property
+    def _known(self) -> Array:
+        if self._stacked is None:
+            self._stacked = _rows(self.poses, range(len(self)))
+        return self._stacked
 
     def _columns(self) -> tuple[list, ...]:  # type: ignore[type-arg]  # columns of different types
         return self.numbers, self.poses, self.actions, self.reached, self.right, self.agreed
@@ -118,7 +132,8 @@ class AnswerMemory:
     def _keep(self, kept: list[bool]) -> None:
         for values in self._columns():
             values[:] = [value for value, keep in zip(values, kept, strict=True) if keep]
+        self._stacked = None
 
 
-def _rows(values: list[Array], index: list[int] | range) -> Array:
+def _rows(values: list[Row], index: list[int] | range) -> Array:
     return np.array([values[i] for i in index]).reshape(-1, 7)

@@ -166,7 +166,7 @@ class Feedback:
         self.changes += 1
         gone = set(latest)
         columns = zip(self.memory.numbers, self.memory.poses, self.memory.actions, strict=True)
-        about = [(point, action) for number, point, action in columns if number in gone]
+        about = [(np.array(point), action) for number, point, action in columns if number in gone]
         self.memory.withdraw(gone)
         replay.remove(np.isin(replay.held().answers, latest))
         if self._settings.extend and about:
