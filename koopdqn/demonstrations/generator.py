@@ -19,7 +19,7 @@ _HARMONICS = 3
 _SUBSTEPS = 4
 # Two people, or one person twice, differ by at least this share of twice the wander (Hausdorff distance), so that
 # no two demonstrations of a set are nearly the same.
-_LEAST_DIFFERENCE = 0.56
+_LEAST_DIFFERENCE = 0.60
 # Shapes are smooth: every eighth point, 4 mm apart, tells them apart as well as all do.
 _COARSER = 8
 

@@ -28,8 +28,9 @@ class TubeSettings(TrustSettings):
     floor_m: float = Field(gt=0, description="spread added to that of the demonstrations' positions [m]")
     floor_rad: float = Field(gt=0, description="spread added to that of their orientations [rad]")
     fixed_radius_m: float = Field(gt=0, description="radius around a single demonstration [m]")
-    fixed_radius_rad: float = Field(
-        gt=0, description="the same of its orientation; and that around the pose of an answer [rad]"
+    fixed_radius_rad: float = Field(gt=0, description="the same of its orientation [rad]")
+    answer_radius_rad: float = Field(
+        gt=0, le=3.2, description="how far an orientation may be from that of an answer that extended the domain [rad]"
     )
 
     def rank(self, count: int) -> int:
@@ -55,7 +56,7 @@ class TubeSettings(TrustSettings):
         error = np.zeros((len(middle.poses), 2))
         for trajectory, found in zip(trajectories, errors, strict=True):
             np.maximum.at(error, middle.nearest(trajectory[:-1]), found)
-        return Tube(self, error, no_balls(self.fixed_radius_rad), middle.poses, radius, middle.gap)
+        return Tube(self, error, no_balls(self.answer_radius_rad), middle.poses, radius, middle.gap)
 
     def nominal(self, count: int) -> float | None:
         """Return the share of new demonstrations that a tube around ``count`` holds; None for a single one."""
@@ -63,7 +64,7 @@ class TubeSettings(TrustSettings):
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
         """Return the domain whose arrays these are."""
-        balls = no_balls(self.fixed_radius_rad)
+        balls = no_balls(self.answer_radius_rad)
         return Tube(self, arrays["error"], balls, arrays["middle"], arrays["radius"], arrays["spread"])
 
 
