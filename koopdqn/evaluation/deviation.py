@@ -44,8 +44,8 @@ class Deviations:
 def deviations(paths: list[Array], references: list[Array]) -> Deviations:
     """Return the deviations of pose paths (T, 7) from as many references (R, 7), of whatever lengths."""
     mine = np.array([resampled(path) for path in paths]).reshape(-1, SAMPLES, 7)
-    # A reference has no stairs.
-    theirs = np.array([resampled(path, smooth=False) for path in references]).reshape(-1, SAMPLES, 7)
+    # Both are treated alike, so that a path does not deviate from itself.
+    theirs = np.array([resampled(path) for path in references]).reshape(-1, SAMPLES, 7)
     lateral, frechet = np.empty((len(mine), SAMPLES)), np.empty(len(mine))
     for begin in range(0, len(mine), _TOGETHER):
         part = slice(begin, begin + _TOGETHER)
@@ -53,9 +53,10 @@ def deviations(paths: list[Array], references: list[Array]) -> Deviations:
         gap = np.linalg.norm(mine[part, :, None, pose.POSITION] - points[:, None], axis=3)  # (E, K, K)
         lateral[part], frechet[part] = _to_polyline(gap, points), discrete_frechet(gap)
     stairs = np.array([resampled(path, smooth=False) for path in paths]).reshape(-1, SAMPLES, 7)
+    plain = np.array([resampled(path, smooth=False) for path in references]).reshape(-1, SAMPLES, 7)
     return Deviations(
         pose.position_distance(mine, theirs),
-        pose.position_distance(stairs, theirs),
+        pose.position_distance(stairs, plain),
         lateral,
         pose.rotation_distance(mine, theirs),
         frechet,

@@ -115,7 +115,7 @@ class JournalledOracle(Oracle):
 
     def _asked(self, question: Question) -> Answer:
         while True:
-            answer = self._oracle.answer(replace(question, earlier=self._earlier))
+            answer = self._oracle.answer(replace(question, earlier=tuple(self._earlier)))
             _check_answer(answer, len(self._earlier), question)
             for _ in range(answer.undo):
                 self._file.append(_undo_line(self._earlier.pop(), question))

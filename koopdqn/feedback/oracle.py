@@ -57,7 +57,7 @@ class Question:
         left: questions that the budget leaves, this one included; None without a budget.
         candidates: the poses (10, 7) that all actions reach; None if unknown.
         progress: one line about how the learning goes, for people.
-        earlier: the answers that may be withdrawn at this moment, oldest first.
+        earlier: the answers that may be withdrawn, oldest first.
     """
 
     episode: int
