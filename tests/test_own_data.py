@@ -28,6 +28,7 @@ Printed = Callable[..., dict[str, object]]
 @pytest.fixture
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
     def run(*arguments: str) -> dict[str, object]:
+        capsys.readouterr()  # what was printed before
         assert cli.main([*arguments, "--json"]) == 0, capsys.readouterr().err
         found = json.loads(capsys.readouterr().out)
         assert isinstance(found, dict)
