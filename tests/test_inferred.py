@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from koopdqn import pose
 from koopdqn.dqn.observation import observe
 from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
-from koopdqn.environment.compare import excess
-from koopdqn.imitation.inferred import demonstrated_transitions, nearest_actions
+from koopdqn.environment.compare import excess, nearest_actions
+from koopdqn.imitation.inferred import demonstrated_transitions
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
 

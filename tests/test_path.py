@@ -76,16 +76,6 @@ def test_arc_length_is_measured_along_the_path() -> None:
     np.testing.assert_allclose(path.nearest([[0.22, 0.05, -0.02]]), [0.12], atol=path.spacing / 2)
 
 
-def test_a_displaced_path_is_moved_point_by_point_on_the_same_scale() -> None:
-    path = straight()
-    offsets = np.zeros_like(path.points)
-    offsets[:, 2] = np.sin(np.linspace(0, np.pi, len(path.points))) * 0.01
-    moved = path.displaced(offsets)
-    np.testing.assert_array_equal(moved.points, path.points + offsets)
-    assert (moved.length, moved.spacing) == (path.length, path.spacing)
-    np.testing.assert_allclose(moved.at([0.15]) - path.at([0.15]), [[0, 0, 0.01]], atol=1e-4)
-
-
 def test_arc_lengths_of_a_known_polyline() -> None:
     corners: Array = np.array([[0.0, 0, 0], [0.3, 0.4, 0], [0.3, 0.4, 0], [0.3, 0.4, 2.0]])
     np.testing.assert_allclose(arc_lengths(corners), [0, 0.5, 0.5, 2.5])

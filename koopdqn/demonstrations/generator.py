@@ -12,7 +12,7 @@ from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.environment.reachability import Reachability
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
-from koopdqn.tasks.path import arc_lengths, at_arc_lengths
+from koopdqn.tasks.path import arc_lengths, at_arc_lengths, hausdorff
 from koopdqn.tasks.task import Task
 
 _HARMONICS = 3
@@ -124,19 +124,12 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
 def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Array:
     for _ in range(1000):
         shape = wander(task, rng)
-        apart = [_hausdorff(task, shape, other) for other in others]
+        points = task.nominal_path.points
+        apart = [hausdorff((points + shape)[::_COARSER], (points + other)[::_COARSER]) for other in others]
         if not apart or min(apart) >= _LEAST_DIFFERENCE * 2 * task.variation_m:
             return shape
     # A crowded set (many demonstrations) has no room for another that differs from all.
     return wander(task, rng)
-
-
-def _hausdorff(task: Task, shape: Array, other: Array) -> float:
-    from scipy.spatial.distance import directed_hausdorff
-
-    points = task.nominal_path.points[::_COARSER]
-    first, second = points + shape[::_COARSER], points + other[::_COARSER]
-    return float(max(directed_hausdorff(first, second)[0], directed_hausdorff(second, first)[0]))
 
 
 def _follow(task: Task, start: Array, shape: Array) -> Array:

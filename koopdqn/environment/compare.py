@@ -3,6 +3,7 @@
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
@@ -17,3 +18,12 @@ def excess(reached: Array, wished: Array, task: Task) -> Array:
 def within_tolerance(reached: Array, wished: Array, task: Task) -> np.ndarray:
     """Return whether both distances are within their tolerances, as booleans (...)."""
     return np.asarray(excess(reached, wished, task) <= 1.0)
+
+
+def nearest_actions(poses: Array, wished: Array, task: Task) -> np.ndarray:
+    """Return the legal actions (N,) that lead from poses (N, 7) nearest to wished poses (N, 7).
+
+    Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
+    """
+    far = excess(reached_poses(poses, task), wished[:, None], task)
+    return np.asarray(np.where(legal_actions(task), far, np.inf).argmin(axis=1))

@@ -23,6 +23,9 @@ ASKED: Final = 2
 REMEMBERED: Final = 3
 SOURCES: Final = ("rule", "trusted", "asked", "remembered")
 
+NO_ANSWER: Final = -1
+"""Stands for the number of an answer where a reward rests on none."""
+
 # Below this a motion is none: 1e-9 m or rad is far under any tolerance and over rounding.
 _NO_MOTION = 1e-9
 
@@ -145,7 +148,9 @@ class IntentReward:
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
         source = np.where(wrong, RULE, np.where(trusted, TRUSTED, ASKED))
         margin = np.where(wrong, -np.inf, margin)
-        return Judgement(reached, predicted, reward, source != ASKED, source, margin, at_goal, np.full_like(source, -1))
+        return Judgement(
+            reached, predicted, reward, source != ASKED, source, margin, at_goal, np.full_like(source, NO_ANSWER)
+        )
 
     def _centring(self, poses: Array, reached: Array) -> tuple[Array, Array]:
         """Return by how much coming nearer to the mean path counts (N, 1), and from 0 to 1 how much each does (N, 10).

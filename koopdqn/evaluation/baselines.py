@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.imitation.inferred import nearest_actions
+from koopdqn.environment.compare import nearest_actions
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rollout import Episode, follow, roll_out

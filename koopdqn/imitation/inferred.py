@@ -4,22 +4,10 @@ import numpy as np
 
 from koopdqn.dqn.observation import observe
 from koopdqn.dqn.replay import Transitions
-from koopdqn.environment.actions import legal_actions, reached_poses
-from koopdqn.environment.compare import excess
-from koopdqn.environment.reward import RULE
+from koopdqn.environment.compare import nearest_actions
+from koopdqn.environment.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
-
-_NO_ANSWER = -1
-
-
-def nearest_actions(poses: Array, wished: Array, task: Task) -> np.ndarray:
-    """Return the legal actions (N,) that lead from poses (N, 7) nearest to wished poses (N, 7).
-
-    Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
-    """
-    far = excess(reached_poses(poses, task), wished[:, None], task)
-    return np.asarray(np.where(legal_actions(task), far, np.inf).argmin(axis=1))
 
 
 def demonstrated_transitions(trajectories: list[Array], task: Task) -> Transitions:
@@ -47,7 +35,7 @@ def demonstrated_transitions(trajectories: list[Array], task: Task) -> Transitio
         poses=before,
         steps=np.concatenate([np.arange(len(trajectory) - 1) for trajectory in ended]),
         sources=np.full(count, RULE),
-        answers=np.full(count, _NO_ANSWER),
+        answers=np.full(count, NO_ANSWER),
     )
 
 

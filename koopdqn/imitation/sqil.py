@@ -7,14 +7,15 @@ from typing import Final
 
 import numpy as np
 
+from koopdqn.dqn.exploring import start_sampler
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.replay import FIELDS, ReplayBuffer, Transitions
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.actions import COUNT, reached_poses
-from koopdqn.environment.episodes import EpisodeBatch, StartSampler
-from koopdqn.environment.reward import RULE
+from koopdqn.environment.episodes import EpisodeBatch
+from koopdqn.environment.reward import NO_ANSWER, RULE
 from koopdqn.imitation.imitator import Imitator
 from koopdqn.imitation.inferred import demonstrated_transitions
 from koopdqn.pose import Array
@@ -22,7 +23,6 @@ from koopdqn.workcell import Workcell
 
 # Sets its random numbers apart from those of demonstrations (1), training (2), checks (3) and evaluation (4).
 _STREAM: Final = 7
-_NO_ANSWER: Final = -1
 
 
 class Sqil:
@@ -69,17 +69,7 @@ class Sqil:
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
-        self._starts = StartSampler(
-            task,
-            workcell.reachability,
-            trajectories,
-            agent.exploring_starts,
-            agent.exploring_in_region,
-            agent.exploring_scale,
-            agent.exploring_spread_m,
-            agent.exploring_steps,
-            step_limit,
-        )
+        self._starts = start_sampler(workcell, trajectories, agent, step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
         self._begun = 0
         for index in range(len(self._batch)):
@@ -156,7 +146,7 @@ class Sqil:
                 poses=before,
                 steps=steps,
                 sources=np.full(count, RULE),
-                answers=np.full(count, _NO_ANSWER),
+                answers=np.full(count, NO_ANSWER),
             )
         )
         self.env_steps += count

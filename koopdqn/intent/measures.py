@@ -14,6 +14,7 @@ from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
 from koopdqn.intent.validation import Fold, differences, sizes_of
 from koopdqn.pose import Array
+from koopdqn.tasks.path import hausdorff
 from koopdqn.tasks.task import Task
 
 _PAPER_SAMPLES = 60
@@ -25,11 +26,11 @@ def roll_out_summary(folds: Sequence[Fold], task: Task) -> dict[str, Any] | None
     if not folds:
         return None
     rollouts = [_roll_out_error(fold.model, fold.held_out, task) for fold in folds]
-    finals, hausdorff = ([r[key] for r in rollouts] for key in ("final", "hausdorff"))
+    finals, apart = ([r[key] for r in rollouts] for key in ("final", "hausdorff"))
     return {
         "final": finals,
-        "hausdorff": hausdorff,
-        "median_hausdorff": float(np.median(hausdorff)),
+        "hausdorff": apart,
+        "median_hausdorff": float(np.median(apart)),
         "reached_goal": int(np.sum(np.array(finals) <= 5e-3)),
     }
 
@@ -38,11 +39,10 @@ def _roll_out_error(model: IntentModel, held_out: Array, task: Task) -> dict[str
     steps = 2 * len(held_out)
     path = model.roll_out(held_out[:1], steps, task.step_m)[:, 0, pose.POSITION]
     target = held_out[:, pose.POSITION]
-    gap = np.linalg.norm(path[:, None] - target[None], axis=2)
     final = float(np.linalg.norm(path[-1] - task.goal[pose.POSITION]))
-    hausdorff = float(max(gap.min(axis=1).max(), gap.min(axis=0).max()))
+    far = hausdorff(path, target)
     # A model that diverges ends far outside any workspace; JSON knows no infinity.
-    return {"final": min(final, 1e3), "hausdorff": min(hausdorff, 1e3)}
+    return {"final": min(final, 1e3), "hausdorff": min(far, 1e3)}
 
 
 def trust_summary(

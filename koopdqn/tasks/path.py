@@ -75,10 +75,6 @@ class SmoothPath:
         index = np.rint(np.asarray(arc) / self.spacing).astype(int)
         return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
 
-    def displaced(self, offsets: Array) -> "SmoothPath":
-        """Return the path with every point moved by its offset (M, 3) [m]; arc lengths keep this path's scale."""
-        return SmoothPath(self.points + offsets, self.length)
-
 
 def arc_lengths(points: ArrayLike) -> Array:
     """Return the arc length (N,) [m] of each point (N, 3) [m] of a polyline, from its start."""
@@ -89,3 +85,10 @@ def arc_lengths(points: ArrayLike) -> Array:
 def at_arc_lengths(values: Array, arc: Array, wanted: Array) -> Array:
     """Return rows of values (N, D), known at arc lengths (N,), interpolated at the wanted arc lengths (W,)."""
     return np.stack([np.interp(wanted, arc, values[:, i]) for i in range(values.shape[1])], axis=1)
+
+
+def hausdorff(points: Array, others: Array) -> float:
+    """Return the Hausdorff distance of two sets of points (N, d) and (M, d): the farthest any is from the other set."""
+    from scipy.spatial.distance import directed_hausdorff
+
+    return float(max(directed_hausdorff(points, others)[0], directed_hausdorff(others, points)[0]))

@@ -97,6 +97,8 @@ class Feedback:
         """Return what is known without asking, answers included; see :meth:`IntentReward.judge`."""
         judgement = self.reward.judge(poses, steps)
         places = self.memory.recall(poses, COUNT)
+        if not (places >= 0).any():
+            return judgement
         # Near a boundary between right and wrong an answer holds no farther than the model's own opinion, unless it
         # was the model that was wrong.
         agreed, right = np.array([*self.memory.agreed, False]), np.array([*self.memory.right, False])
@@ -104,8 +106,8 @@ class Feedback:
         recalled = (places >= 0) & ~judgement.known & holds
         for index, action in np.argwhere(recalled):
             place = places[index, action]
-            right = self.memory.right[place]
-            judgement.reward[index, action] = self.reward.value(right, bool(judgement.at_goal[index, action]))
+            at_goal = bool(judgement.at_goal[index, action])
+            judgement.reward[index, action] = self.reward.value(bool(right[place]), at_goal)
             judgement.source[index, action] = REMEMBERED
             judgement.answer[index, action] = self.memory.numbers[place]
         judgement.known[recalled] = True
@@ -140,7 +142,8 @@ class Feedback:
         if answer.better is not None and answer.better != question.action:
             said.append((answer.better, True))
         if said:
-            self.changes += 1
+            # Where answers teach nothing beyond themselves, nobody else need be judged anew.
+            self.changes += self._settings.extend or self._settings.remember_m > 0
             self._standing.append(number)
         for action, right in said:
             agreed = bool(judgement.margin[index, action] >= 0) == right

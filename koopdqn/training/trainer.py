@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from koopdqn.dqn.exploring import start_sampler
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.replay import ReplayBuffer, Transitions
 from koopdqn.dqn.settings import AgentSettings
-from koopdqn.environment.episodes import EpisodeBatch, StartSampler
+from koopdqn.environment.episodes import EpisodeBatch
 from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED, IntentReward, Judgement
 from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import Oracle, Question
@@ -82,17 +83,7 @@ class Trainer:
         self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
         self._replay = ReplayBuffer(agent.replay, size(self._task))
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
-        self._starts = StartSampler(
-            self._task,
-            workcell.reachability,
-            trajectories,
-            agent.exploring_starts,
-            agent.exploring_in_region,
-            agent.exploring_scale,
-            agent.exploring_spread_m,
-            agent.exploring_steps,
-            self.step_limit,
-        )
+        self._starts = start_sampler(workcell, trajectories, agent, self.step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
         self.next_episode = 0
         for index in range(len(self._batch)):
