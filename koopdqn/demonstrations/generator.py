@@ -17,11 +17,11 @@ from koopdqn.tasks.task import Task
 
 _HARMONICS = 3
 _SUBSTEPS = 4
-# Two people, or one person twice, differ by at least this share of twice the wander (Hausdorff distance), so that
-# no two demonstrations of a set are nearly the same.
-_LEAST_DIFFERENCE = 0.60
-# Shapes are smooth: every eighth point, 4 mm apart, tells them apart as well as all do.
-_COARSER = 8
+# From one start, two demonstrations of a set differ by at least this share of the wander (Hausdorff distance), so
+# that no two are nearly the same: 5.2 mm where the wander is 4.5 mm.
+_LEAST_DIFFERENCE = 1.155
+# Paths are smooth: every fourth pose, a step apart, tells them apart as well as all do.
+_COARSER = _SUBSTEPS
 
 
 class DemonstrationSettings(Settings):
@@ -68,14 +68,14 @@ def generate(
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
-    shapes: list[Array] = []
+    shapes = _Shapes(task, rng)
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
         start = task.draw_starts(rng, 1)[0]
         joints, reason = None, reachability.enter(start).reason
         if not reason:
-            shape = _new_shape(task, rng, shapes)
-            times, poses = _paced(_follow(task, start, shape), settings, rng)
+            shape = shapes.draw()
+            times, poses = _paced(_wandered(_follow(task, start), shape), settings, rng)
             joints, reason = reachability.follow(poses)
         if joints is None:
             if not redrawn:
@@ -87,7 +87,7 @@ def generate(
                     f" found {sum(redrawn.values())} refused: {redrawn}"
                 )
             continue
-        shapes.append(shape)
+        shapes.keep(shape)
         items.append(Demonstration(times, reachability.flange_poses(joints), joints))
         advance(len(items))
     return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
@@ -95,8 +95,7 @@ def generate(
 
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
     """Raise unless the arm can follow the demonstrator without variation; where it cannot, drawing again is no use."""
-    unvaried = _follow(task, task.nominal_start, np.zeros_like(task.nominal_path.points))
-    _, poses = _paced(unvaried, settings, np.random.default_rng(0))
+    _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
     motion = reachability.enter(poses[0])
     for reached in poses[1:]:
         if motion.joints is not None:
@@ -121,21 +120,39 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
     return np.asarray(offset * (task.variation_m / np.linalg.norm(offset, axis=1).max()), dtype=float)
 
 
-def _new_shape(task: Task, rng: np.random.Generator, others: list[Array]) -> Array:
-    for _ in range(1000):
-        shape = wander(task, rng)
-        points = task.nominal_path.points
-        apart = [hausdorff((points + shape)[::_COARSER], (points + other)[::_COARSER]) for other in others]
-        if not apart or min(apart) >= _LEAST_DIFFERENCE * 2 * task.variation_m:
-            return shape
-    # A crowded set (many demonstrations) has no room for another that differs from all.
-    return wander(task, rng)
+class _Shapes:
+    """Shapes of a set of demonstrations, each told apart from the others on the path from one and the same start."""
+
+    def __init__(self, task: Task, rng: np.random.Generator) -> None:
+        self._task, self._rng = task, rng
+        self._path = _follow(task, task.nominal_start)
+        self._kept: list[Array] = []
+
+    def draw(self) -> Array:
+        """Return a new shape (M, 3) [m]; in a crowded set, that has no room for another, it is as it comes."""
+        for _ in range(1000):
+            shape = wander(self._task, self._rng)
+            path = self._shown(shape)
+            least = _LEAST_DIFFERENCE * self._task.variation_m
+            if all(hausdorff(path, other) >= least for other in self._kept):
+                return shape
+        return wander(self._task, self._rng)
+
+    def keep(self, shape: Array) -> None:
+        """Take a shape (M, 3) [m] into the set."""
+        self._kept.append(self._shown(shape))
+
+    def _shown(self, shape: Array) -> Array:
+        return _wandered(self._path, shape)[::_COARSER, pose.POSITION]
 
 
-def _follow(task: Task, start: Array, shape: Array) -> Array:
-    # The wander lies on the person's own path from this start, however gently that comes back to the nominal one.
+def _follow(task: Task, start: Array) -> Array:
     limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
-    path = task.demonstrator_on(task.nominal_path).finer(_SUBSTEPS).roll_out(start, limit)
+    return task.demonstrator_on(task.nominal_path).finer(_SUBSTEPS).roll_out(start, limit)
+
+
+def _wandered(path: Array, shape: Array) -> Array:
+    # The wander lies on the person's own path from this start, however gently that comes back to the nominal one.
     arc = arc_lengths(path[:, pose.POSITION])
     offset = at_arc_lengths(shape, np.linspace(0.0, arc[-1], len(shape)), arc)
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
