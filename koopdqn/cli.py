@@ -17,8 +17,13 @@ from koopdqn.exit_status import guard
 
 _COMMANDS = {
     "demo": (
-        "Generate demonstrations of a task.",
-        ("koopdqn demo task=shelf", "koopdqn demo task=knife seed=3 out=runs/demos"),
+        "Generate demonstrations of a task, or record them with the keyboard.",
+        (
+            "koopdqn demo task=shelf",
+            "koopdqn demo task=knife seed=3 out=runs/demos",
+            "koopdqn demo source=keyboard",
+            "koopdqn demo run=DIR  (goes on with a recording)",
+        ),
     ),
     "fit": (
         "Fit the human intent model and its trust domain.",

@@ -30,11 +30,18 @@ FORGETFUL: Final = ("feedback.extend=false", "feedback.remember_m=0.0")
 
 VARIANTS: Final = (
     Variant("default", (), "the default config"),
+    # Stepping back is measured as the paper has it, an answer being used once.
     Variant(
-        "chosen", ("agent.trials=chosen", "agent.step_back=true"), "one action a step, stepping back (D13)", ONE_TRIED
+        "chosen",
+        ("agent.trials=chosen", "agent.step_back=true", *FORGETFUL),
+        "one action a step, stepping back, answers used once (D13)",
+        ONE_TRIED,
     ),
     Variant(
-        "no-step-back", ("agent.trials=chosen", "agent.step_back=false"), "the same without stepping back", ONE_TRIED
+        "no-step-back",
+        ("agent.trials=chosen", "agent.step_back=false", *FORGETFUL),
+        "the same without stepping back",
+        ONE_TRIED,
     ),
     Variant("trust-everywhere", ("trust=everywhere",), "no trust domain: the model decides everywhere (D7)"),
     # Asking the likeliest action first would hide wrong actions from the network; asking about the chosen one does not.

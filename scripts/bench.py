@@ -21,7 +21,7 @@ from koopdqn.commands.configuration import Configuration
 from koopdqn.config.resources import asset_path, conf_dir
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generator import generate
-from koopdqn.demonstrations.resample import mean_path
+from koopdqn.demonstrations.resample import shown_paths
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.replay import ReplayBuffer, Transitions
@@ -100,7 +100,9 @@ def learning_rows(config: Configuration) -> list[Row]:
 
     fitted = fitting()
     trajectories = agent_steps(demonstrations, task)
-    reward = IntentReward(task, fitted.model, fitted.trust, config.reward, mean_path(trajectories))
+    reward = IntentReward(
+        task, fitted.model, fitted.trust, config.reward, shown_paths(trajectories, config.reward.centring_path)
+    )
     states = np.concatenate(trajectories)
     batch = states[np.random.default_rng(0).integers(len(states), size=agent.episodes_at_once)]
     item = demonstrations.items[0]

@@ -21,6 +21,7 @@ from typing import Any, Final
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.feedback.schema import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
 from koopdqn.intent.schema import FitReport
+from koopdqn.recording.schema import KeyLine, SessionLine
 from koopdqn.reporting.schema import ReportFile
 from koopdqn.schema import ReportModel
 from koopdqn.training.schema import TrainReport
@@ -38,6 +39,8 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "feedback.jsonl, edit": EditLine,
     "feedback.jsonl, drop": DropLine,
     "feedback.jsonl, opinion": OpinionLine,
+    "keys.jsonl": SessionLine,
+    "keys.jsonl, key": KeyLine,
     "eval.json": EvaluationFile,
     "report.json": ReportFile,
 }

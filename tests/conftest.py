@@ -104,7 +104,9 @@ def fitted(demonstrations: "Demonstrations", parts: "Parts") -> "Fitted":
 
 @pytest.fixture(scope="session")
 def reward(parts: "Parts", fitted: "Fitted", trajectories: "list[Array]") -> "IntentReward":
-    from koopdqn.demonstrations.resample import mean_path
+    from koopdqn.demonstrations.resample import shown_paths
     from koopdqn.environment.reward import IntentReward
 
-    return IntentReward(parts.task, fitted.model, fitted.trust, parts.reward, mean_path(trajectories))
+    return IntentReward(
+        parts.task, fitted.model, fitted.trust, parts.reward, shown_paths(trajectories, parts.reward.centring_path)
+    )

@@ -11,6 +11,7 @@ from koopdqn.feedback.oracle import Oracle
 from koopdqn.feedback.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.training.feedback import Budget
+from koopdqn.training.gathering import Asking
 from koopdqn.training.trainer import Trainer
 from koopdqn.workcell import Workcell
 
@@ -41,6 +42,7 @@ def small_trainer(
     train: dict[str, Any] | None = None,
     feedback: dict[str, Any] | None = None,
     budget: Budget = Budget(),  # noqa: B008 (frozen)
+    asking: Asking = Asking(),  # noqa: B008 (frozen)
 ) -> Trainer:
     """Return a trainer of a second or two, with some settings changed.
 
@@ -57,6 +59,7 @@ def small_trainer(
         seed,
         parts.feedback.model_copy(update=feedback or {}),
         budget,
+        asking,
     )
 
 

@@ -11,7 +11,6 @@ from koopdqn.artifact import described
 from koopdqn.config.resources import conf_dir
 from koopdqn.config.settings import TARGET, load_settings, validate
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.generator import DemonstrationSettings
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import RewardSettings
 from koopdqn.feedback.memory import FeedbackSettings
@@ -19,6 +18,7 @@ from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.pose import Array
+from koopdqn.recording.settings import DemoSettings
 from koopdqn.robot.ur import URArm
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import Task
@@ -31,7 +31,7 @@ class Parts:
 
     task: ShelfTask
     arm: URArm
-    demo: DemonstrationSettings
+    demo: DemoSettings
     intent: IntentSettings
     trust: TrustSettings
     agent: AgentSettings
@@ -49,7 +49,7 @@ def load_parts(*overrides: str) -> Parts:
     return Parts(
         load_settings(config.task, ShelfTask, "task"),
         load_settings(config.robot, URArm, "robot"),
-        validate(config.demo, DemonstrationSettings, "demo"),
+        validate(config.demo, DemoSettings, "demo"),
         load_settings(config.intent, IntentSettings, "intent"),
         load_settings(config.trust, TrustSettings, "trust"),
         load_settings(config.agent, AgentSettings, "agent"),

@@ -124,7 +124,8 @@ def test_a_command_shown_composes_to_a_valid_config(
         return
     for argument in arguments:
         if argument.startswith("run="):
-            stand_in_run(lab / argument.removeprefix("run="), "task=knife", "command=train")
+            made_by = "demo" if command == "demo" else "train"
+            stand_in_run(lab / argument.removeprefix("run="), "task=knife", f"command={made_by}")
     stand_in_run(lab / "runs" / "shelf" / "newest", "task=shelf", "command=train")
     shown = [] if "--cfg" in arguments else ["--cfg", "job"]
     status = cli.main([command, *arguments, *shown])

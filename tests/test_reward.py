@@ -13,7 +13,14 @@ from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
 
 SIGN = RewardSettings(
-    shape="sign", prediction="rescaled", doubt=0.0, centring=0.0, centring_within_m=0.01, size=1.0, goal=0.0
+    shape="sign",
+    prediction="rescaled",
+    doubt=0.0,
+    centring=0.0,
+    centring_path="mean",
+    centring_within_m=0.01,
+    size=1.0,
+    goal=0.0,
 )
 AXES = np.array([4, 5, 6, 7, 8, 9])
 

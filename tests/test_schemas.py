@@ -17,6 +17,7 @@ from koopdqn.feedback import schema as feedback_schema
 from koopdqn.feedback.schema import AnswerLine
 from koopdqn.intent import schema as intent_schema
 from koopdqn.intent.schema import FitReport
+from koopdqn.recording import schema as recording_schema
 from koopdqn.schema import ReportModel
 from koopdqn.training import schema as training_schema
 from koopdqn.training.schema import TrainReport
@@ -124,7 +125,7 @@ def test_the_reports_of_a_run_agree_with_each_other(run: Path) -> None:
 
 def models() -> list[type[BaseModel]]:
     found: set[type[BaseModel]] = {EvaluationFile}
-    for module in (intent_schema, training_schema, feedback_schema):
+    for module in (intent_schema, training_schema, feedback_schema, recording_schema):
         found |= {value for value in vars(module).values() if isinstance(value, type) and issubclass(value, BaseModel)}
     return sorted(found - {ReportModel}, key=lambda model: model.__name__)
 
@@ -211,7 +212,8 @@ def test_every_file_of_a_run_folder_is_documented(run: Path) -> None:
     found = {"checkpoints/latest.safetensors" if path.name == "checkpoints" else path.name for path in run.iterdir()}
     found |= {path.name for path in (run / "eval").iterdir()}
     found = {f"{name}/" if name in ("events", ".hydra") else name for name in found - {"eval"}}
-    assert names - found == {"demos.png", "questions/"}  # those of `koopdqn demo` and of a person at the terminal
+    # Those of `koopdqn demo` and of a person at the terminal.
+    assert names - found == {"demos.png", "keys.jsonl", "questions/"}
     assert found - names == set()
 
 

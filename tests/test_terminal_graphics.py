@@ -63,9 +63,9 @@ def test_a_choice_is_kept_without_asking() -> None:
 
 def test_kitty_is_refused_where_it_cannot_be_right() -> None:
     with pytest.raises(BadInputError, match="inside tmux"):
-        check_graphics("kitty", TMUX)
-    check_graphics("kitty", PLAIN)
-    check_graphics("sixel", TMUX)
+        check_graphics("kitty", "oracle.graphics", TMUX)
+    check_graphics("kitty", "oracle.graphics", PLAIN)
+    check_graphics("sixel", "oracle.graphics", TMUX)
 
 
 @settings(max_examples=15)

@@ -134,7 +134,7 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
         successes = round(20 * next(rates))
         return [Episode(np.zeros((1, 7)), np.zeros((1, 6)), SUCCESS if i < successes else STUCK) for i in range(20)]
 
-    monkeypatch.setattr("koopdqn.training.trainer.roll_out", scripted)
+    monkeypatch.setattr("koopdqn.training.checking.roll_out", scripted)
     trainer = make(
         train={"check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "check_every": 4, "max_steps": 10**6}
     )

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 # Inputs of other commands; given to this one they would change nothing.
 _FOREIGN_INPUTS = {
-    "demo": ("run", "demos", "intent_file"),
+    "demo": ("demos", "intent_file"),
     "fit": ("run", "intent_file"),
     "eval": ("demos", "intent_file"),
     "report": ("run", "demos", "intent_file"),

@@ -8,7 +8,6 @@ from koopdqn.artifact import described
 from koopdqn.config.settings import NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
-from koopdqn.demonstrations.generator import DemonstrationSettings
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.reward import RewardSettings
 from koopdqn.errors import BadInputError, unknown_name
@@ -18,6 +17,7 @@ from koopdqn.feedback.oracle import OracleSettings
 from koopdqn.intent.fitting import FitSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.trust import TrustSettings
+from koopdqn.recording.settings import DemoSettings
 from koopdqn.reporting.settings import ReportSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.tasks.task import Task, TaskChoice
@@ -54,7 +54,7 @@ class Configuration:
     oracle: OracleSettings
     agent: AgentSettings
     robot: Arm
-    demo: DemonstrationSettings
+    demo: DemoSettings
     fit: FitSettings
     reward: RewardSettings
     feedback: FeedbackSettings
@@ -96,7 +96,7 @@ class Configuration:
             "robot": Arm,
         }
         fixed: dict[str, type[Settings]] = {
-            "demo": DemonstrationSettings,
+            "demo": DemoSettings,
             "fit": FitSettings,
             "reward": RewardSettings,
             "feedback": FeedbackSettings,

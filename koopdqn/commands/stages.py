@@ -80,7 +80,16 @@ def _check_reach(config: Configuration, demonstrations: Demonstrations) -> None:
 
 
 def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demonstrations, dict[str, int]]:
-    """Return generated demonstrations and how many draws per reason were drawn again."""
+    """Return generated demonstrations and how many draws per reason were drawn again.
+
+    Raises:
+        BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
+    """
+    if config.demo.source != "scripted":
+        raise BadInputError(
+            f"demo.source: must be scripted where koopdqn {config.inputs.command} makes demonstrations itself, found"
+            f" {config.demo.source}; record with koopdqn demo, then demos=FILE"
+        )
     with console.stage("Demonstrating", config.demo.count) as stage:
         generated = generate(
             config.task, workcell.reachability, config.demo, config.inputs.seed, lambda done: stage.advance()

@@ -8,7 +8,7 @@ from typing import Any
 from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
-from koopdqn.demonstrations.resample import mean_path
+from koopdqn.demonstrations.resample import shown_paths
 from koopdqn.dqn.memory import check_memory
 from koopdqn.dqn.observation import size
 from koopdqn.dqn.policy import write_policy
@@ -20,6 +20,7 @@ from koopdqn.result import CommandResult
 from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.training.events import EventLog
 from koopdqn.training.feedback import Budget
+from koopdqn.training.gathering import Asking
 from koopdqn.training.history import Check
 from koopdqn.training.schema import TrainReport
 from koopdqn.training.trainer import Trainer
@@ -47,7 +48,13 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     trajectories = agent_steps(demonstrations, config.task)
     trainer = Trainer(
         workcell,
-        IntentReward(config.task, intent.model, intent.trust, config.reward, mean_path(trajectories)),
+        IntentReward(
+            config.task,
+            intent.model,
+            intent.trust,
+            config.reward,
+            shown_paths(trajectories, config.reward.centring_path),
+        ),
         trajectories,
         oracle,
         config.agent,
@@ -55,6 +62,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         config.inputs.seed,
         config.feedback,
         Budget(config.oracle.budget, config.oracle.when_spent),
+        Asking(config.oracle.ask, config.oracle.gather_most),
     )
     if checkpoint is not None:
         trainer.restore(checkpoint.arrays, checkpoint.about["state"])

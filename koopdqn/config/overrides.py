@@ -17,8 +17,11 @@ _PLAIN_VALUE: Final = re.compile(r"[A-Za-z0-9_./-]*")
 _NUMBER_OR_BOOLEAN: Final = re.compile(r"-?[\d._]*\d[\d._]*(e-?\d+)?|-?inf|nan|true|false", re.IGNORECASE)
 """Values that Hydra reads as something else than a text."""
 _INTENT_SUFFIXES: Final = (".npz", ".safetensors")
+_SHORT_NAMES: Final = {"journal": "oracle.journal", "source": "demo.source"}
 _RECORD: Final = Path(".hydra") / "overrides.yaml"
 _OWN_KEYS: Final = ("command", "out", "run")
+_CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
+"""Commands that go on with ``run=DIR``, and what DIR is of."""
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
 
 
@@ -28,7 +31,7 @@ class Prepared:
 
     Attributes:
         overrides: the overrides, in Hydra's grammar.
-        continues: whether they go on with an earlier training run, in its folder.
+        continues: whether they go on with an earlier run of the command, in its folder.
     """
 
     overrides: list[str]
@@ -41,13 +44,13 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
-    - ``journal=FILE`` becomes ``oracle.journal=FILE``.
+    - ``journal=FILE`` becomes ``oracle.journal=FILE`` and ``source=WHO`` becomes ``demo.source=WHO``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
       after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone. Inputs that DIR keeps
       a copy of are read from there, wherever the files first given are by now. Where another oracle is
-      given, the recorded one's settings go.
+      given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
       robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
@@ -61,8 +64,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         multirun: whether ``-m`` was given.
 
     Raises:
-        BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no training
-            run that can be continued.
+        BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
+            that can be continued.
     """
     prepared = [_prepare_one(override) for override in overrides]
     keys = [_key(override) for override in prepared]
@@ -74,14 +77,15 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         return _prepare_evaluation(prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "export") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
-    if command != "train" or not folders or folders[-1] == "null":
+    if command not in _CONTINUED or not folders or folders[-1] == "null":
         return Prepared([*prepared, f"command={command}"])
     if multirun:
-        raise BadInputError("run: train run=DIR goes on in one folder and cannot be combined with --multirun")
+        raise BadInputError(f"run: {command} run=DIR goes on in one folder and cannot be combined with --multirun")
     if "out" in keys:
-        raise BadInputError("out: train run=DIR goes on in DIR, so that out= cannot be given as well")
+        raise BadInputError(f"out: {command} run=DIR goes on in DIR, so that out= cannot be given as well")
     folder = folders[-1]
-    copied = [key for key, name in _COPIES.items() if (Path(folder) / name).is_file()]
+    copies = _COPIES if command == "train" else {}
+    copied = [key for key, name in copies.items() if (Path(folder) / name).is_file()]
     recorded = [item for item in _recorded(folder, command) if _key(item) not in copied]
     given = {_name(override) for override in prepared}
     if "oracle" in given:
@@ -125,8 +129,7 @@ def _prepare_one(override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
-    if name == "journal":
-        name = "oracle.journal"
+    name = _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
@@ -189,14 +192,15 @@ def _value(override: str) -> str:
 def _recorded(folder: str, command: str) -> list[str]:
     from omegaconf import OmegaConf
 
+    what = _CONTINUED[command]
     if not folder.strip():
-        raise BadInputError("run: must name the folder of a training run, found ''")
+        raise BadInputError(f"run: must name the folder of {what}, found ''")
     path = Path(folder)
     if not path.is_dir():
-        raise BadInputError(f"run: must name the folder of a training run, found no folder {folder!r}")
+        raise BadInputError(f"run: must name the folder of {what}, found no folder {folder!r}")
     record = path / _RECORD
     if not record.is_file():
-        raise BadInputError(f"run: must name the folder of a training run, found no {_RECORD} in {folder!r}")
+        raise BadInputError(f"run: must name the folder of {what}, found no {_RECORD} in {folder!r}")
     try:
         content = OmegaConf.to_container(OmegaConf.load(record), resolve=False)
     # the file may hold anything, and the YAML parser has errors of its own

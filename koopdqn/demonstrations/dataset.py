@@ -62,7 +62,7 @@ class Demonstration:
             raise BadInputError(f"quaternions must have length 1 within {_QUATERNION_TOLERANCE}, found {worst:g}")
         # Dividing again changes last bits; what was normalised once must be read back as it was written.
         length = np.where(np.abs(length - 1) < 1e-14, 1.0, length)
-        poses[:, pose.QUATERNION] = _continuous(poses[:, pose.QUATERNION] / length[:, None])
+        poses[:, pose.QUATERNION] = continuous(poses[:, pose.QUATERNION] / length[:, None])
         object.__setattr__(self, "poses", _frozen(poses))
         object.__setattr__(self, "times", _frozen(self.times))
         if self.joints is not None:
@@ -77,8 +77,8 @@ class Demonstration:
         return len(self.poses)
 
 
-def _continuous(quaternions: Array) -> Array:
-    # q and −q are the same rotation; the sign that turns least from sample to sample is kept.
+def continuous(quaternions: Array) -> Array:
+    """Return quaternions (N, 4), each with the sign by which it turns least from the one before."""
     flips = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
     signs = np.concatenate([[1.0], np.cumprod(np.where(flips < 0, -1.0, 1.0))])
     return np.asarray(quaternions * signs[:, None], dtype=float)

@@ -1,6 +1,7 @@
 """A task derived from demonstrations: start region, goal, step and orientation rule."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -60,6 +61,9 @@ class Derivation(TaskChoice):
     modelled_pull_back_m: float = Field(ge=1e-3, le=1.0, description="the same of the model's made-up states [m]")
     centring: Fraction = Field(
         description="how much, among right actions, coming nearer to the demonstrated path counts"
+    )
+    centring_path: Literal["mean", "nearest"] = Field(
+        description="that path: the mean of the demonstrations, or whichever of them is nearest"
     )
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
     end_spread_m: Positive = Field(description="how far a demonstration may end from the mean of all ends [m]")
@@ -143,6 +147,7 @@ class Derivation(TaskChoice):
             pull_back_m=self.pull_back_m,
             modelled_pull_back_m=self.modelled_pull_back_m,
             centring=self.centring,
+            centring_path=self.centring_path,
             variation_m=0.0,
             least_clearance_m=0.0,
             paper=self.paper,

@@ -1,10 +1,12 @@
 """Resampling a demonstration to the agent's step, or to a number of samples."""
 
+from typing import Literal
+
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.path import SmoothPath, arc_lengths, at_arc_lengths
+from koopdqn.tasks.path import PathSet, SmoothPath, arc_lengths, at_arc_lengths
 
 
 def to_step(poses: Array, step: float, turn: float) -> Array:
@@ -71,6 +73,13 @@ def mean_path(trajectories: list[Array]) -> SmoothPath:
     count = max(len(trajectory) for trajectory in trajectories)
     aligned = [to_count(trajectory, count)[:, pose.POSITION] for trajectory in trajectories]
     return SmoothPath.along(np.mean(aligned, axis=0))
+
+
+def shown_paths(trajectories: list[Array], which: Literal["mean", "nearest"]) -> PathSet:
+    """Return the mean path of pose trajectories (N, 7), or all of them, of which the nearest is the one that counts."""
+    if which == "mean":
+        return PathSet((mean_path(trajectories),))
+    return PathSet(tuple(SmoothPath.along(trajectory[:, pose.POSITION]) for trajectory in trajectories))
 
 
 def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:

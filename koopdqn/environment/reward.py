@@ -13,7 +13,7 @@ from koopdqn.environment.compare import excess
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
-from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.path import PathSet
 from koopdqn.tasks.task import Task
 
 # Where a reward came from.
@@ -47,8 +47,11 @@ class RewardSettings(Settings):
     centring: float = Field(
         ge=0,
         le=1,
-        description="share of a right action's reward that says how much nearer it comes to the demonstrations' mean"
-        " path rather than to the prediction; 0 for none (the paper)",
+        description="share of a right action's reward that says how much nearer it comes to the demonstrated path"
+        " rather than to the prediction; 0 for none (the paper)",
+    )
+    centring_path: Literal["mean", "nearest"] = Field(
+        description="that path: the mean of the demonstrations, or whichever of them is nearest"
     )
     centring_within_m: float = Field(
         gt=0, le=10, description="distance from that path over which centring fades, a standard deviation [m]"
@@ -91,11 +94,11 @@ class IntentReward:
         model: the intent model.
         trust: its trust domain.
         settings: how a comparison becomes a reward.
-        path: the demonstrations' mean path.
+        path: what rewards are centred on, see :func:`koopdqn.demonstrations.resample.shown_paths`.
     """
 
     def __init__(
-        self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings, path: SmoothPath
+        self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings, path: PathSet
     ) -> None:
         """Make the reward function."""
         self.task = task
@@ -153,7 +156,7 @@ class IntentReward:
         )
 
     def _centring(self, poses: Array, reached: Array) -> tuple[Array, Array]:
-        """Return by how much coming nearer to the mean path counts (N, 1), and from 0 to 1 how much each does (N, 10).
+        """Return how much coming nearer to the path counts (N, 1), and from 0 to 1 how much nearer each comes (N, 10).
 
         It counts near the path only: from afar a person comes back to it in a way of their own.
         """

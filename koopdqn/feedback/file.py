@@ -143,6 +143,7 @@ def question_object(question: Question) -> dict[str, Any]:
         "reason": question.reason,
         "progress": question.progress,
         "earlier": [vars(item) for item in question.earlier],
+        "place": None if question.place is None else vars(question.place),
     }
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from koopdqn.errors import BadInputError
 from koopdqn.feedback.oracle import Answer, Earlier, Oracle, Question
 from koopdqn.feedback.records import Record, Records, read_records
-from koopdqn.feedback.schema import AnswerLine, Line, UndoLine
+from koopdqn.feedback.schema import AnswerLine, UndoLine
+from koopdqn.schema import ReportModel
 
 JOURNAL = "feedback.jsonl"
 """Name of the journal in a run folder."""
@@ -34,7 +35,7 @@ def answer_line(number: int, question: Question, answer: Answer) -> AnswerLine:
 
 
 class JournalFile:
-    """A journal open for appending. Close it."""
+    """A journal, of answers or of keys, open for appending. Close it."""
 
     def __init__(self, path: Path) -> None:
         """Open a journal, or begin one; a last line cut off by a crash goes.
@@ -48,7 +49,7 @@ class JournalFile:
         except OSError as error:
             raise BadInputError(f"journal {path} must be writable, the system says: {error.strerror}") from error
 
-    def append(self, line: Line) -> None:
+    def append(self, line: ReportModel) -> None:
         """Append a line; it is on disk when this returns."""
         self._file.write(json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n")
         self._file.flush()

@@ -11,6 +11,9 @@ from koopdqn.pose import Array
 
 Row = tuple[float, ...]
 
+# Nearer than this [m, rad] two poses are one and the same.
+_SAME = 1e-6
+
 
 class FeedbackSettings(Settings):
     """What is made of answers beyond the reward of the action asked about."""
@@ -37,7 +40,7 @@ class AnswerMemory:
         actions: that were asked about.
         reached: poses (7,) after them.
         right: what was said.
-        agreed: whether the intent model had said the same.
+        margins: of the intent model's own opinion when it was asked; at least 0: it had thought the action right.
         contradictions: how often nothing was left that could have been right.
     """
 
@@ -47,7 +50,7 @@ class AnswerMemory:
     actions: list[int] = field(default_factory=list)
     reached: list[Row] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
-    agreed: list[bool] = field(default_factory=list)
+    margins: list[float] = field(default_factory=list)
     contradictions: int = 0
     _stacked: Array | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -55,28 +58,41 @@ class AnswerMemory:
         """Return the number of answers held."""
         return len(self.numbers)
 
-    def add(self, number: int, point: Array, action: int, reached: Array, *, right: bool, agreed: bool) -> None:
+    def add(self, number: int, point: Array, action: int, reached: Array, *, right: bool, margin: float) -> None:
         """Remember the answer of a number to a question about a pose (7,), an action and the pose it reached (7,)."""
         # Rows of plain floats: thousands of small arrays kept would hold the allocator's larger blocks apart.
-        row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, agreed)
+        row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, margin)
         for values, value in zip(self._columns(), row, strict=True):
             values.append(value)
         self._stacked = None
 
-    def recall(self, poses: Array, count: int) -> np.ndarray:
-        """Return which answer holds for each of ``count`` actions from poses (N, 7): its place (N, count), or −1.
+    @property
+    def agreed(self) -> list[bool]:
+        """Whether the intent model had said the same, for each answer."""
+        return [(margin >= 0) == right for margin, right in zip(self.margins, self.right, strict=True)]
 
-        The nearest decides, of equally near ones the latest.
+    def recall(self, poses: Array, margins: Array) -> np.ndarray:
+        """Return which answer holds for each of K actions from poses (N, 7): its place (N, K), or −1.
+
+        The nearest decides, of equally near ones the latest. The model may be off by some margin, about the same
+        nearby: a yes holds for what it thinks at least as right, a no for what it thinks at most as right.
+
+        Args:
+            poses: from which actions are tried.
+            margins: (N, K) of the model's opinion of them; at least 0: right.
         """
-        found = np.full((len(poses), count), -1)
+        found = np.full(margins.shape, -1)
         if not len(self) or self.settings.remember_m == 0.0:
             return found
         known, actions = self._known, np.array(self.actions)
         moved = pose.position_distance(poses[:, None], known[None])
         turned = pose.rotation_distance(poses[:, None], known[None])
         near = (moved <= self.settings.remember_m) & (turned <= self.settings.remember_rad)
-        for action in np.unique(actions[near.any(axis=0)]):
-            gap = np.where(near & (actions == action), moved, np.inf)[:, ::-1]
+        opinion, then = margins[:, actions], np.array(self.margins)
+        holds = near & np.where(self.right, opinion >= then, opinion <= then)
+        holds |= (moved <= _SAME) & (turned <= _SAME)
+        for action in np.unique(actions[holds.any(axis=0)]):
+            gap = np.where(holds & (actions == action), moved, np.inf)[:, ::-1]
             place = gap.shape[1] - 1 - gap.argmin(axis=1)
             found[:, action] = np.where(np.isfinite(gap.min(axis=1)), place, -1)
         return found
@@ -84,7 +100,8 @@ class AnswerMemory:
     def extension(self) -> tuple[Array, Array, Array]:
         """Return the poses (M, 7) of yeses, and (D, 7) before and after those that the model did not expect."""
         yes = [i for i, right in enumerate(self.right) if right]
-        unexpected = [i for i in yes if not self.agreed[i]]
+        agreed = self.agreed
+        unexpected = [i for i in yes if not agreed[i]]
         return _rows(self.poses, yes), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
 
     def withdraw(self, numbers: set[int]) -> None:
@@ -108,14 +125,14 @@ class AnswerMemory:
             "actions": np.array(self.actions, dtype=np.int64),
             "reached": _rows(self.reached, range(len(self))),
             "right": np.array(self.right, dtype=np.bool_),
-            "agreed": np.array(self.agreed, dtype=np.bool_),
+            "margins": np.array(self.margins, dtype=np.float64),
             "contradictions": np.array(self.contradictions),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Hold what :meth:`state` returned."""
         self.numbers, self.actions = state["numbers"].tolist(), state["actions"].tolist()
-        self.right, self.agreed = state["right"].tolist(), state["agreed"].tolist()
+        self.right, self.margins = state["right"].tolist(), state["margins"].tolist()
         self.poses, self.reached = ([tuple(row) for row in state[name].tolist()] for name in ("poses", "reached"))
         self._stacked = None
         self.contradictions = int(state["contradictions"])
@@ -127,7 +144,7 @@ class AnswerMemory:
         return self._stacked
 
     def _columns(self) -> tuple[list, ...]:  # type: ignore[type-arg]  # columns of different types
-        return self.numbers, self.poses, self.actions, self.reached, self.right, self.agreed
+        return self.numbers, self.poses, self.actions, self.reached, self.right, self.margins
 
     def _keep(self, kept: list[bool]) -> None:
         for values in self._columns():

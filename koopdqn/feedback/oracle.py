@@ -42,6 +42,19 @@ class Earlier:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Where a question stands among those gathered in an episode and asked at its end.
+
+    Attributes:
+        number: of the question among those asked, from 1.
+        expected: of them all, if every answer is yes; a no ends them.
+    """
+
+    number: int
+    expected: int
+
+
+@dataclass(frozen=True)
 class Question:
     """A question: was this action right?
 
@@ -58,6 +71,7 @@ class Question:
         candidates: the poses (10, 7) that all actions reach; None if unknown.
         progress: one line about how the learning goes, for people.
         earlier: the answers that may be withdrawn, oldest first.
+        place: among the questions of its episode; None if it is asked at once.
     """
 
     episode: int
@@ -72,6 +86,7 @@ class Question:
     candidates: Array | None = None
     progress: str = ""
     earlier: Sequence[Earlier] = ()
+    place: Place | None = None
 
 
 @dataclass(frozen=True)
@@ -133,6 +148,13 @@ class OracleSettings(Settings, ABC):
         default="stop",
         description="when the budget is spent: stop training, give no reward outside the trust domain, or ask the"
         " scripted oracle",
+    )
+    ask: Literal["at_once", "episode"] = Field(
+        default="at_once",
+        description="when to ask: where a question arises, or all of an episode together when it has ended",
+    )
+    gather_most: Count = Field(
+        default=10, description="with ask=episode: questions gathered in an episode, which ends at so many"
     )
 
     def check(self) -> None:

@@ -30,6 +30,13 @@ def meaning(action: int) -> str:
     return ACTIONS[action]
 
 
+def place(question: Question) -> str:
+    """Return where a question stands among those of its episode; empty if it is asked at once."""
+    if question.place is None:
+        return ""
+    return f"Question {question.place.number} of about {question.place.expected} in the episode"
+
+
 def moved(question: Question) -> str:
     """Return how far the action went, in position and in rotation."""
     return _amounts(

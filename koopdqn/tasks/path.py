@@ -59,8 +59,24 @@ class SmoothPath:
         squared = (self.points**2).sum(axis=1) - 2.0 * positions @ self.points.T
         return np.asarray(squared.argmin(axis=1) * self.spacing)
 
+    def at(self, arc: ArrayLike) -> Array:
+        """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""
+        index = np.rint(np.asarray(arc) / self.spacing).astype(int)
+        return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
+
+
+@dataclass(frozen=True)
+class PathSet:
+    """Curves taken together.
+
+    Attributes:
+        paths: the curves, at least one.
+    """
+
+    paths: tuple[SmoothPath, ...]
+
     def distance(self, positions: ArrayLike) -> Array:
-        """Return the distance (N,) [m] of positions (N, 3) [m] from the path's nearest point."""
+        """Return the distance (N,) [m] of positions (N, 3) [m] from the nearest point of any of the curves."""
         distance, _ = self._tree.query(np.asarray(positions, dtype=float))
         return np.asarray(distance)
 
@@ -68,12 +84,7 @@ class SmoothPath:
     def _tree(self) -> "KDTree":
         from scipy.spatial import KDTree
 
-        return KDTree(self.points)
-
-    def at(self, arc: ArrayLike) -> Array:
-        """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""
-        index = np.rint(np.asarray(arc) / self.spacing).astype(int)
-        return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
+        return KDTree(np.concatenate([path.points for path in self.paths]))
 
 
 def arc_lengths(points: ArrayLike) -> Array:

@@ -71,6 +71,10 @@ class Task(TaskChoice):
         description="how much, among right actions, coming nearer to the demonstrated path counts rather than coming"
         " nearer to the predicted pose: near 1 for a person who keeps to a path, 0 for one who heads for the goal",
     )
+    centring_path: Literal["mean", "nearest"] = Field(
+        description="that path: the mean of the demonstrations, for people who all mean the same path, or whichever"
+        " demonstration is nearest, for those who keep to a path of their own from their own start"
+    )
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
     paper: PaperSettings

@@ -7,11 +7,11 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.dqn.replay import ReplayBuffer
-from koopdqn.environment.actions import COUNT
 from koopdqn.environment.reward import REMEMBERED, TRUSTED, IntentReward, Judgement
 from koopdqn.feedback.memory import AnswerMemory, FeedbackSettings
 from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.intent.trust import Balls
 from koopdqn.pose import Array
 
 _TOGETHER = 1024
@@ -54,6 +54,7 @@ class Feedback:
         substituted: questions that the scripted oracle answered because the budget was spent.
         recomputed: rewards in the replay buffer that were recomputed.
         changes: how often what is known has changed since this object was made.
+        step_back: whether wrong actions are stepped back from.
     """
 
     def __init__(
@@ -74,7 +75,7 @@ class Feedback:
         self.substituted = 0
         self.recomputed = 0
         self.changes = 0
-        self._step_back = step_back
+        self.step_back = step_back
         # Memory forgets contradictory answers, but who answers may withdraw them still.
         self._standing: list[int] = []
         self._base = reward
@@ -96,34 +97,42 @@ class Feedback:
     def judge(self, poses: Array, steps: np.ndarray) -> Judgement:
         """Return what is known without asking, answers included; see :meth:`IntentReward.judge`."""
         judgement = self.reward.judge(poses, steps)
-        places = self.memory.recall(poses, COUNT)
-        if not (places >= 0).any():
-            return judgement
-        # Near a boundary between right and wrong an answer holds no farther than the model's own opinion, unless it
-        # was the model that was wrong.
-        agreed, right = np.array([*self.memory.agreed, False]), np.array([*self.memory.right, False])
-        holds = ((judgement.margin >= 0) == right[places]) | ~agreed[places]
-        recalled = (places >= 0) & ~judgement.known & holds
+        places = self.memory.recall(poses, judgement.margin)
+        recalled = (places >= 0) & ~judgement.known
         for index, action in np.argwhere(recalled):
             place = places[index, action]
             at_goal = bool(judgement.at_goal[index, action])
-            judgement.reward[index, action] = self.reward.value(bool(right[place]), at_goal)
+            judgement.reward[index, action] = self.reward.value(self.memory.right[place], at_goal)
             judgement.source[index, action] = REMEMBERED
             judgement.answer[index, action] = self.memory.numbers[place]
         judgement.known[recalled] = True
         return judgement
 
+    def covers(self, yeses: Array, point: Array) -> bool:
+        """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,)."""
+        if not self._settings.extend:
+            return False
+        return bool(Balls(yeses, self._radii(yeses), self._base.trust.balls.turn).holds(point[None])[0])
+
     def ask(self, question: Question, judgement: Judgement, index: int, replay: ReplayBuffer) -> Outcome:
-        """Ask whether an action was right, and learn from the answer.
+        """Ask whether an action was right, learn from the answer, and put its reward into a row of a judgement.
 
         Raises:
             PauseRequested: who answers wants to go on another time.
         """
-        if self.spent:
-            if self._budget.when_spent != "scripted":
-                return Outcome(None)
-            self.substituted += 1
-            return Outcome(self._substitute.answer(question).right)
+        outcome = self._instead(question) if self.spent else self._answer(question, judgement, index, replay)
+        if outcome.right is not None:
+            at_goal = bool(judgement.at_goal[index, question.action])
+            judgement.reward[index, question.action] = self.reward.value(outcome.right, at_goal)
+        return outcome
+
+    def _instead(self, question: Question) -> Outcome:
+        if self._budget.when_spent != "scripted":
+            return Outcome(None)
+        self.substituted += 1
+        return Outcome(self._substitute.answer(question).right)
+
+    def _answer(self, question: Question, judgement: Judgement, index: int, replay: ReplayBuffer) -> Outcome:
         left = None if self._budget.most is None else self._budget.most - self.questions
         number = self.questions
         answer = self._oracle.answer(replace(question, left=left))
@@ -146,12 +155,12 @@ class Feedback:
             self.changes += self._settings.extend or self._settings.remember_m > 0
             self._standing.append(number)
         for action, right in said:
-            agreed = bool(judgement.margin[index, action] >= 0) == right
+            margin = float(judgement.margin[index, action])
             reached = judgement.reached[index, action].copy()
-            self.memory.add(number, question.pose, action, reached, right=right, agreed=agreed)
+            self.memory.add(number, question.pose, action, reached, right=right, margin=margin)
             if right and self._settings.extend:
                 self._extend()
-                if not agreed:
+                if margin < 0:
                     self._recompute(question.pose[None], replay)
 
     def _extend(self) -> None:
@@ -189,7 +198,7 @@ class Feedback:
             judged = self.reward.judge(held.poses[part], held.steps[part])
             each = np.arange(len(part)), held.actions[part]
             rewards = judged.reward[each].astype(np.float32)
-            replay.revalue(part, rewards, judged.at_goal[each], step_back=self._step_back)
+            replay.revalue(part, rewards, judged.at_goal[each], step_back=self.step_back)
             lost[part] = ~judged.known[each]
         self.recomputed += len(rows)
         if lost.any():

@@ -10,29 +10,22 @@ from koopdqn.dqn.exploring import start_sampler
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.policy import Policy
-from koopdqn.dqn.replay import ReplayBuffer, Transitions
+from koopdqn.dqn.replay import ReplayBuffer
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.episodes import EpisodeBatch
-from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED, IntentReward, Judgement
+from koopdqn.environment.reward import RULE, IntentReward, Judgement
 from koopdqn.feedback.memory import FeedbackSettings
-from koopdqn.feedback.oracle import Oracle, Question
-from koopdqn.feedback.scripted import demonstrator_agrees
+from koopdqn.feedback.oracle import Oracle, Place
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, roll_out
+from koopdqn.training.checking import Checker
+from koopdqn.training.experience import Trial, Tries
 from koopdqn.training.feedback import Budget, Feedback
+from koopdqn.training.gathering import Asking, Gathering, question_about, settled
 from koopdqn.training.history import Check, History
 from koopdqn.training.settings import TrainSettings
 from koopdqn.workcell import Workcell
 
-_COUNTERS = (
-    "env_steps",
-    "next_episode",
-    "rounds",
-    "learned_at",
-    "passed",
-    "best_success",
-    "best_update",
-)
+_COUNTERS = ("env_steps", "next_episode", "rounds", "learned_at", "passed", "best_success", "best_update")
 
 
 class Trainer:
@@ -58,6 +51,7 @@ class Trainer:
         seed: int,
         feedback: FeedbackSettings,
         budget: Budget = Budget(),  # noqa: B008 (frozen)
+        asking: Asking = Asking(),  # noqa: B008 (frozen)
     ) -> None:
         """Prepare a run.
 
@@ -71,6 +65,7 @@ class Trainer:
             seed: fixes everything.
             feedback: what is made of answers.
             budget: how many questions may be asked.
+            asking: when they are asked.
         """
         torch.set_num_threads(settings.threads)
         self.workcell = workcell
@@ -85,11 +80,11 @@ class Trainer:
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
         self._starts = start_sampler(workcell, trajectories, agent, self.step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
+        self._gathering = Gathering(asking, self.feedback, len(self._batch))
         self.next_episode = 0
         for index in range(len(self._batch)):
             self._begin(index)
-        check_rng = np.random.default_rng([settings.check_seed, 3])
-        self._check_starts = workcell.reachability.draw_starts(self._task, check_rng, settings.check_starts)
+        self._checker = Checker(workcell, settings, self.step_limit)
         self.history = History()
         self.env_steps = 0
         self.rounds = 0
@@ -170,7 +165,8 @@ class Trainer:
             if self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index]).joints is None:
                 self._refuse(judgement, index, action)
         rows, actions = np.nonzero(mask)
-        self._keep(judgement, observations, rows, actions)
+        self._keep(Tries(judgement, rows, actions, observations[rows], batch.poses[rows], batch.steps[rows]))
+        batch.stored[rows, actions] = True
 
     def _refuse(self, judgement: Judgement, index: int, action: int) -> None:
         judgement.reward[index, action] = self.feedback.reward.value(False, False)
@@ -186,19 +182,25 @@ class Trainer:
                 self.feedback.memory.contradict(batch.poses[index])
             self._end(index)
             return
+        trial = Trial(int(batch.numbers[index]), int(batch.steps[index]), batch.poses[index].copy(), action)
         motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
         if motion.joints is None:
             self._refuse(judgement, index, action)
-        elif not judgement.known[index, action] and not self._ask(judgement, index, action):
-            batch.tried[index, action] = True
-            return
+        elif not judgement.known[index, action]:
+            if self._gathering.on:
+                self._gather(index, trial, judgement, motion.joints)
+                return
+            if not self._ask(trial, judgement, index):
+                batch.tried[index, action] = True
+                return
         reward = float(judgement.reward[index, action])
         right = reward >= 0
         moves = motion.joints is not None and (right or not self.agent.step_back)
         at_goal = moves and bool(judgement.at_goal[index, action])
         cut = moves and not at_goal and batch.steps[index] + 1 >= batch.limits[index]
         if not batch.stored[index, action] or self.agent.trials == "chosen":
-            self._keep(judgement, observation[None], np.array([index]), np.array([action]), cut=bool(cut))
+            self._keep(Tries.of_one(trial, judgement, index, observation, cut=bool(cut)))
+            batch.stored[index, action] = True
         batch.rewards[index] += reward
         if motion.joints is None or not moves:
             batch.tried[index, action] = True
@@ -224,94 +226,41 @@ class Trainer:
             return int(self._explore_rng.choice(np.flatnonzero(candidates)))
         return int(np.where(candidates, values, -np.inf).argmax())
 
-    def _ask(self, judgement: Judgement, index: int, action: int) -> bool:
+    def _ask(self, trial: Trial, judgement: Judgement, row: int, place: Place | None = None) -> bool:
         """Ask the oracle; return whether it answered (a skip is not a no)."""
-        batch = self._batch
-        pose, reached = batch.poses[index].copy(), judgement.reached[index, action].copy()
-        step = int(batch.steps[index])
-        trust = self.feedback.reward.trust
-        question = Question(
-            episode=int(batch.numbers[index]),
-            step=step,
-            pose=pose,
-            action=action,
-            reached=reached,
-            predicted=judgement.predicted[index].copy(),
-            reason=trust.outside(reached, step + 1) or trust.outside(pose, step),
-            candidates=judgement.reached[index].copy(),
-        )
-        outcome = self.feedback.ask(question, judgement, index, self._replay)
+        question = question_about(trial, self.feedback.reward, judgement, row, place)
+        outcome = self.feedback.ask(question, judgement, row, self._replay)
         for point, other in outcome.reopened:
-            batch.reopen(point, other)
-        if outcome.right is None:
-            return False
-        at_goal = bool(judgement.at_goal[index, action])
-        judgement.reward[index, action] = self.feedback.reward.value(outcome.right, at_goal)
-        return True
+            self._batch.reopen(point, other)
+        return outcome.right is not None
 
-    def _keep(
-        self,
-        judgement: Judgement,
-        observations: np.ndarray,
-        rows: np.ndarray,
-        actions: np.ndarray,
-        *,
-        cut: bool = False,
-    ) -> None:
-        """Store the experience of actions (M,) of episodes in ``rows`` (M,), observed before as (N or 1, inputs)."""
+    def _gather(self, index: int, trial: Trial, judgement: Judgement, joints: Array) -> None:
+        """Put a question off to the end of its episode, and go on as if the action had been right."""
         batch = self._batch
-        self._tally(batch.poses[rows], judgement, rows, actions)
-        rewards = judgement.reward[rows, actions]
-        wrong = rewards < 0
-        self._replay.add(
-            Transitions(
-                observations[rows] if len(observations) == len(batch) else observations,
-                actions,
-                rewards.astype(np.float32),
-                observe(judgement.reached[rows, actions], self._task),
-                terminated=judgement.at_goal[rows, actions] & ~wrong,
-                truncated=np.full(len(rows), cut),
-                undone=wrong & self.agent.step_back,
-                poses=batch.poses[rows],
-                steps=batch.steps[rows],
-                sources=judgement.source[rows, actions],
-                answers=judgement.answer[rows, actions],
-            )
-        )
-        batch.stored[rows, actions] = True
-        self.env_steps += len(actions)
+        full = self._gathering.add(index, trial)
+        batch.move(index, judgement.reached[index, trial.action], joints)
+        if full or judgement.at_goal[index, trial.action] or batch.steps[index] >= batch.limits[index]:
+            self._end(index)
 
-    def _tally(self, poses: Array, judgement: Judgement, rows: np.ndarray, actions: np.ndarray) -> None:
-        sources = judgement.source[rows, actions]
-        counted = sources != RULE
-        if not counted.any():
-            return
-        agrees = demonstrator_agrees(self._task, poses[counted], judgement.reached[rows, actions][counted])
-        same = agrees == (judgement.reward[rows, actions][counted] >= 0)
-        for source in (TRUSTED, ASKED, REMEMBERED):
-            self.history.judged[source] += int((sources == source).sum())
-            self.history.agreed[source] += int(same[sources[counted] == source].sum())
+    def _keep(self, tries: Tries) -> None:
+        tries.tally(self.history, self._task)
+        self._replay.add(tries.transitions(self._task, step_back=self.agent.step_back))
+        self.env_steps += len(tries.actions)
 
     def _end(self, index: int) -> None:
+        """End an episode, ask what it has gathered, and begin another."""
         batch = self._batch
+        for tries in settled(self._gathering.take(index), self.feedback, self._ask, int(batch.limits[index])):
+            self._keep(tries)
+            batch.rewards[index] += float(tries.rewards[0])
         self.history.rewards.append(float(batch.rewards[index]))
         self.history.lengths.append(int(batch.steps[index]))
         self.history.exploring.append(bool(batch.exploring[index]))
         self._begin(index)
 
     def _check(self) -> Check:
-        starts, joints, _ = self._check_starts
-        policy = Policy(self.learner.online, self._task)
-        episodes = roll_out(policy, self._task, self.workcell.reachability, starts, joints, self.step_limit)
-        outcomes = [episode.outcome for episode in episodes]
-        success = outcomes.count(SUCCESS) / len(outcomes)
-        check = Check(
-            self.learner.updates,
-            self.env_steps,
-            len(self.history.rewards),
-            success,
-            {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})},
-        )
+        success, failures = self._checker.measure(Policy(self.learner.online, self._task))
+        check = Check(self.learner.updates, self.env_steps, len(self.history.rewards), success, failures)
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
         self._losses.clear()
@@ -329,6 +278,7 @@ class Trainer:
             "learner": self.learner.state(),
             "replay": self._replay.state(),
             "episodes": self._batch.state(),
+            "gathered": self._gathering.state(),
             "best": self.best,
             "feedback": self.feedback.state(),
             "losses": {"recent": np.array(self._losses, dtype=np.float64)},
@@ -352,6 +302,7 @@ class Trainer:
         self.learner.restore(part("learner"))
         self._replay.restore(part("replay"))
         self._batch.restore(part("episodes"))
+        self._gathering.restore(part("gathered"))
         self.best = part("best")
         self.feedback.restore(part("feedback"))
         self._losses = part("losses")["recent"].tolist()

@@ -23,23 +23,26 @@ _SMALLEST: Final = (20, 8)
 """Width and height that a terminal which does not know its size is taken to have at least."""
 
 
-def require_terminal() -> None:
+def require_terminal(what: str, others: str) -> None:
     """Raise unless a person can be asked here.
+
+    Args:
+        what: the setting that needs the terminal, for the message.
+        others: what else can be used, for the message.
 
     Raises:
         BadInputError: standard input or standard error is no terminal, or it cannot be drawn on.
     """
-    others = "use oracle=scripted, oracle=file, or oracle=replay journal=FILE"
     try:
         import termios  # noqa: F401 (absent on Windows)
     except ImportError:
-        raise BadInputError(f"oracle=terminal: needs a POSIX terminal, found {sys.platform}; {others}") from None
+        raise BadInputError(f"{what}: needs a POSIX terminal, found {sys.platform}; {others}") from None
     for name, stream in (("input", sys.stdin), ("error", sys.stderr)):
         if stream is None or not stream.isatty():
-            raise BadInputError(f"oracle=terminal: standard {name} must be a terminal, found a pipe or file; {others}")
+            raise BadInputError(f"{what}: standard {name} must be a terminal, found a pipe or file; {others}")
     kind = os.environ.get("TERM", "")
     if kind in ("", "dumb", "unknown"):
-        raise BadInputError(f"oracle=terminal: TERM must name a terminal to draw on, found {kind!r}; {others}")
+        raise BadInputError(f"{what}: TERM must name a terminal to draw on, found {kind!r}; {others}")
 
 
 class Device:

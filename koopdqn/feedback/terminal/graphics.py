@@ -21,11 +21,11 @@ _DEVICE_ANSWER: Final = re.compile(r"\x1b\[\?([\d;]*)c")
 _SIXEL_ATTRIBUTE: Final = "4"
 
 
-def check_graphics(wanted: Graphics, environment: Mapping[str, str] = os.environ) -> None:
-    """Raise BadInputError if pictures cannot be drawn the wanted way here."""
+def check_graphics(wanted: Graphics, key: str, environment: Mapping[str, str] = os.environ) -> None:
+    """Raise BadInputError, which names the setting's key, if pictures cannot be drawn the wanted way here."""
     if wanted == "kitty" and _multiplexed(environment):
         raise BadInputError(
-            "oracle.graphics: must be auto, blocks, sixel or none inside tmux or screen, which pass no kitty"
+            f"{key}: must be auto, blocks, sixel or none inside tmux or screen, which pass no kitty"
             " pictures on, found kitty"
         )
 

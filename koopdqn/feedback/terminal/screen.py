@@ -13,7 +13,7 @@ from koopdqn.tasks.task import Task
 
 ASPECT: Final = (4, 3)
 """Width to height of the picture."""
-_GAP: Final = 2
+GAP: Final = 2
 _TEXT_WIDTH: Final = 38
 _LEAST_PICTURE: Final = (24, 6)
 _FRAME_ROWS: Final = 5
@@ -96,7 +96,7 @@ class Shown:
 
 def region(width: int, height: int, *, pictures: bool) -> Region:
     """Return where the picture goes on a screen, beside the text; its sides are as 4 to 3 in pixels."""
-    room, rows = width - _TEXT_WIDTH - _GAP, height - _FRAME_ROWS
+    room, rows = width - _TEXT_WIDTH - GAP, height - _FRAME_ROWS
     # A character is about twice as high as wide.
     across = min(room, rows * 2 * ASPECT[0] // ASPECT[1])
     down = across * ASPECT[1] // (2 * ASPECT[0])
@@ -114,7 +114,7 @@ def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Te
     elif shown.question is None:
         lines = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
     else:
-        lines = _beside(_left(shown, place, body), _right(shown, shown.question, width, place), place.width)
+        lines = beside(_left(shown, place, body), _right(shown, shown.question, width, place, body), place.width)
     lines = (lines + [Text("")] * body)[:body]
     lines = [_head(shown, width), *lines, *(Text(line, style=_DIM) for line in KEYS), status_line(shown.status, width)]
     for line in lines:
@@ -144,7 +144,7 @@ def _left(shown: Shown, place: Region, body: int) -> list[Text]:
     if not place.width:
         return []
     if shown.remark:
-        return [Text(""), *_wrapped(shown.remark, place.width, _DIM)]
+        return [Text(""), *wrapped(shown.remark, place.width, _DIM)]
     lines = shown.picture or [Text("")] * place.rows
     return [*lines, *([] if not shown.times else [_legend(shown.times, place.width)])][:body]
 
@@ -159,30 +159,33 @@ def _legend(times: float, width: int) -> Text:
     return text
 
 
-def _right(shown: Shown, question: Question, width: int, place: Region) -> list[Text]:
-    room = min(width - place.width - _GAP, 2 * _TEXT_WIDTH) if place.width else width
+def _right(shown: Shown, question: Question, width: int, place: Region, body: int) -> list[Text]:
+    room = min(width - place.width - GAP, 2 * _TEXT_WIDTH) if place.width else width
     drawn = f" (drawn {shown.times:.0f}x)" if shown.times else ""
     lines = [
-        *_wrapped(f"Was this right? The arm {wording.meaning(question.action)}.", room, _BOLD),
+        *(wrapped(wording.place(question), room) if question.place else []),
+        *wrapped(f"Was this right? The arm {wording.meaning(question.action)}.", room, _BOLD),
         _pair("moved", wording.moved(question) + drawn),
         _pair("to go", wording.remaining(question, shown.task)),
         _pair("goal", wording.nearer(question, shown.task)),
         _pair("model", wording.opinion(question)),
-        *_wrapped(f"Asked because {question.reason or 'the intent model is not trusted here'}.", room),
+        *wrapped(f"Asked because {question.reason or 'the intent model is not trusted here'}.", room),
     ]
-    if question.progress:
-        lines += _wrapped(f"Learning: {question.progress}", room, _DIM)
+    learning = wrapped(f"Learning: {question.progress}", room, _DIM) if question.progress else []
+    keys = []
     if question.earlier:
-        lines += _wrapped(f"Latest: {wording.recalled(question.earlier[-1])} (u)", room, _DIM)
-    lines.append(Text("Better, by key (mm to the goal):", style=_BOLD))
+        keys += wrapped(f"Latest: {wording.recalled(question.earlier[-1])} (u)", room, _DIM)
+    keys.append(Text("Better, by key (mm to the goal):", style=_BOLD))
     texts = wording.choices(question, shown.task)
     half = (len(texts) + 1) // 2
     for row in range(half):
         cells = (_choice(action, texts[action], question.action) for action in (row, row + half))
         first, second = cells
         first.pad_right(max(0, 25 - len(first)))
-        lines.append(first + second)
-    return lines
+        keys.append(first + second)
+    # On a small screen the question and its keys must stand, whatever else does not.
+    fits = len(lines) + len(learning) + len(keys) <= body
+    return [*lines, *(learning if fits else []), *keys]
 
 
 def _choice(action: int, text: str, asked: int) -> Text:
@@ -194,11 +197,13 @@ def _pair(name: str, value: str) -> Text:
     return Text.assemble((f"{name:<6}", _DIM), value)
 
 
-def _wrapped(text: str, width: int, style: Style | None = None) -> list[Text]:
+def wrapped(text: str, width: int, style: Style | None = None) -> list[Text]:
+    """Return a text as lines of at most ``width`` characters."""
     return list(Text(text, style=style or Style()).wrap(Console(width=max(width, 1)), max(width, 1)))
 
 
-def _beside(left: list[Text], right: list[Text], width: int) -> list[Text]:
+def beside(left: list[Text], right: list[Text], width: int) -> list[Text]:
+    """Return lines beside others, which begin behind ``width`` characters and a gap; 0 leaves the left ones out."""
     if not width:
         return right
     count = max(len(left), len(right))
@@ -206,6 +211,6 @@ def _beside(left: list[Text], right: list[Text], width: int) -> list[Text]:
     for row in range(count):
         first = left[row].copy() if row < len(left) else Text("")
         first.truncate(width, overflow="crop")
-        first.pad_right(width - first.cell_len + _GAP)
+        first.pad_right(width - first.cell_len + GAP)
         lines.append(first + right[row] if row < len(right) else first)
     return lines

@@ -28,8 +28,8 @@ class TerminalOracleSettings(OracleSettings):
 
     def check(self) -> None:
         """Raise BadInputError if nobody can be asked here, or the journal to begin with cannot be read."""
-        require_terminal()
-        check_graphics(self.graphics)
+        require_terminal("oracle=terminal", "use oracle=scripted, oracle=file, or oracle=replay journal=FILE")
+        check_graphics(self.graphics, "oracle.graphics")
         if self.journal is not None:
             read_records(self.journal)
 
