@@ -297,15 +297,6 @@ def test_a_run_killed_with_questions_pending_or_replayed_ends_as_if_never_stoppe
     assert copy.read_bytes() == written
 
 
-def test_a_checkpoint_from_before_questions_could_be_gathered_is_gone_on_with(make: Make) -> None:
-    settings: dict[str, Any] = {"asking": Asking(), "feedback": NEAR_ONLY}
-    first, second = make(train={"max_steps": 150, **UNCHECKED}, **settings), make(**settings)
-    first.run()
-    arrays, about = first.state()
-    second.restore({name: values for name, values in arrays.items() if not name.startswith("gathered/")}, about)
-    assert_same_run(second, first)
-
-
 def test_a_question_says_its_place_to_people_and_programs(parts: Parts, make: Make, trajectories: list[Array]) -> None:
     trainer, point = make(), trajectories[0][60]
     judged = trainer.feedback.judge(point[None], np.array([7]))

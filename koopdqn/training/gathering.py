@@ -81,9 +81,6 @@ class Gathering:
         """Hold what :meth:`state` returned."""
         for index in range(len(self._trials)):
             self.take(index)
-        if not state:
-            # A checkpoint from before questions could be gathered.
-            return
         columns = (state[name].tolist() for name in ("rows", "episodes", "steps", "actions"))
         for index, episode, step, action, pose in zip(*columns, state["poses"], strict=True):
             self.add(index, Trial(episode, step, pose.copy(), action))
