@@ -20,6 +20,7 @@ if sys.platform == "win32":
 
 # A narrow trust domain, and answers that hold close by only, leave some dozens of questions at most.
 ASKING = (*SMALL, "trust=box", "trust.sigmas=0.8", "feedback.least_reach_m=0.006", "feedback.reach=0.0")
+WHOLE = ("task=shelf", "seed=0")
 RESTORED = re.compile(rb"\x1b\[\?25h\x1b\[\?1049l")
 
 
@@ -35,8 +36,8 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def begin(folder: Path, **options: object) -> Session:
-    return Session("train", *ASKING, "oracle=terminal", "oracle.teacher=anna", f"out={folder}", **options)  # type: ignore[arg-type]
+def begin(folder: Path, settings: tuple[str, ...] = ASKING, **options: object) -> Session:
+    return Session("train", *settings, "oracle=terminal", "oracle.teacher=anna", f"out={folder}", **options)  # type: ignore[arg-type]
 
 
 def answer(session: Session, key: str) -> bool:
@@ -49,9 +50,10 @@ def answer(session: Session, key: str) -> bool:
     return True
 
 
-def test_a_whole_training_is_taught_through_the_keys(tmp_path: Path) -> None:
+@pytest.mark.parametrize("settings", [ASKING, pytest.param(WHOLE, marks=pytest.mark.slow)], ids=["short", "whole"])
+def test_a_training_is_taught_through_the_keys(tmp_path: Path, settings: tuple[str, ...]) -> None:
     folder = tmp_path / "run"
-    with begin(folder) as session:
+    with begin(folder, settings) as session:
         session.wait(QUESTION)
         assert "anna" in session.lines[0]
         session.press("?")
@@ -109,11 +111,11 @@ def test_a_whole_training_is_taught_through_the_keys(tmp_path: Path) -> None:
     assert {line["source"] for line in answers(folder)} == {"anna", "bert"}
     replayed = tmp_path / "replayed"
     journal = folder / "feedback.jsonl"
-    assert cli.main(["train", *ASKING, "oracle=replay", f"journal={journal}", f"out={replayed}", "--json"]) == 0
+    assert cli.main(["train", *settings, "oracle=replay", f"journal={journal}", f"out={replayed}", "--json"]) == 0
     assert digest(replayed / "policy.safetensors") == digest(folder / "policy.safetensors")
     assert (replayed / "feedback.jsonl").read_bytes() == journal.read_bytes()
     # A journal of another run fits no longer.
-    other = ["train", *ASKING, "seed=1", "oracle=replay", f"journal={journal}", f"out={tmp_path / 'other'}"]
+    other = ["train", *settings, "seed=1", "oracle=replay", f"journal={journal}", f"out={tmp_path / 'other'}"]
     assert cli.main(other) == 2
 
 
