@@ -1,10 +1,11 @@
 """A small and short training, for tests of the trainer and of what answers do in it."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from parts import Parts
+from parts import Clerk, Parts
 
 from koopdqn.environment.reward import IntentReward
 from koopdqn.feedback.oracle import Oracle
@@ -67,6 +68,23 @@ def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
     trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
     return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
+
+
+def assert_spends_its_budget(make: Callable[..., Trainer], clerk: Clerk, when_spent: str) -> Trainer:
+    """Train with a budget of five questions, check that they are all that is asked, and return the trainer."""
+    trainer = make(
+        clerk,
+        budget=Budget(5, when_spent),  # type: ignore[arg-type]  # one of the literals
+        feedback=FORGETFUL,
+        train={"max_steps": 300, "max_episodes": 60, **UNCHECKED},
+    )
+    trainer.run()
+    assert trainer.questions == len(clerk.asked) == 5
+    assert [asked.left for asked in clerk.asked] == [5, 4, 3, 2, 1]
+    assert trainer.feedback.spent
+    assert trainer.feedback.stopped == (when_spent == "stop")
+    assert (trainer.feedback.substituted > 0) == (when_spent == "scripted")
+    return trainer
 
 
 def assert_same_run(one: Trainer, two: Trainer) -> None:

@@ -1,6 +1,7 @@
 """A koopdqn in a terminal of its own, with keys to press and a screen to read."""
 
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -14,6 +15,20 @@ from koopdqn import cli
 
 CHECKOUT = str(Path(cli.__file__).resolve().parent.parent)
 QUESTION = "Was this right?"
+
+
+def error_without_terminal(*arguments: str, term: str) -> str:
+    """Return the last line that ``koopdqn`` says where it has no terminal but needs one, having ended with status 2."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "koopdqn", *arguments],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "TERM": term, "PYTHONPATH": CHECKOUT},
+        check=False,
+    )
+    assert ended.returncode == 2, ended.stderr
+    return ended.stderr.strip().splitlines()[-1]
 
 
 class Session:

@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_trainer, untrusting
+from helpers_training import (
+    FORGETFUL,
+    UNCHECKED,
+    assert_same_run,
+    assert_spends_its_budget,
+    small_trainer,
+    untrusting,
+)
 from parts import Clerk, Parts
 from questions import question
 from small_run import SMALL
@@ -28,7 +35,6 @@ from koopdqn.feedback.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.training.experience import Trial, Tries
-from koopdqn.training.feedback import Budget
 from koopdqn.training.gathering import Asking, Gathering, question_about, settled
 from koopdqn.training.trainer import Trainer
 from koopdqn.workcell import Workcell
@@ -218,17 +224,7 @@ def test_an_episode_cut_at_its_limit_says_so(make: Make, trajectories: list[Arra
 
 @pytest.mark.parametrize("when_spent", ["stop", "distrust", "scripted"])
 def test_a_spent_budget_asks_no_more(make: Make, when_spent: str) -> None:
-    clerk = Clerk()
-    trainer = make(
-        clerk,
-        budget=Budget(5, when_spent),  # type: ignore[arg-type]  # one of the literals
-        feedback=FORGETFUL,
-        train={"max_steps": 300, "max_episodes": 60, **UNCHECKED},
-    )
-    trainer.run()
-    assert trainer.questions == len(clerk.asked) == 5
-    assert [asked.left for asked in clerk.asked] == [5, 4, 3, 2, 1]
-    assert (trainer.feedback.substituted > 0) == (when_spent == "scripted")
+    assert_spends_its_budget(make, Clerk(), when_spent)
 
 
 def undoing(workcell: Workcell) -> Oracle:

@@ -22,6 +22,12 @@ def test_it_comes_back_through_json_and_goes_on() -> None:
     assert restored.judged.dtype == some_history().judged.dtype
 
 
+def test_what_it_came_from_stays_as_it_was() -> None:
+    state = some_history().state()
+    History.restored(state).rewards.append(9.0)
+    assert state == some_history().state()
+
+
 def test_agreement_is_the_share_of_each_source_but_rules() -> None:
     assert some_history().agreement() == pytest.approx({"trusted": 0.75, "asked": 1.0, "remembered": 0.4})
     assert some_history().counts() == {"trusted": 8, "asked": 4, "remembered": 5}

@@ -4,7 +4,6 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from keyboard_parts import shown_by_keys
 from parts import load_parts
 from small_run import SMALL
-from terminal_session import CHECKOUT, Session
+from terminal_session import Session, error_without_terminal
 
 from koopdqn import cli
 from koopdqn.demonstrations.hdf5 import read_hdf5
@@ -120,19 +119,10 @@ def test_finishing_without_a_demonstration_says_so(tmp_path: Path) -> None:
     assert not (folder / FILE).exists()
 
 
-@pytest.mark.parametrize("environment", [{"TERM": "xterm"}, {"TERM": "dumb"}])
-def test_without_a_terminal_nothing_is_begun(tmp_path: Path, environment: dict[str, str]) -> None:
+@pytest.mark.parametrize("term", ["xterm", "dumb"])
+def test_without_a_terminal_nothing_is_begun(tmp_path: Path, term: str) -> None:
     folder = tmp_path / "run"
-    ended = subprocess.run(
-        [sys.executable, "-m", "koopdqn", "demo", *SMALL, "source=keyboard", f"out={folder}"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment, "PYTHONPATH": CHECKOUT},
-        check=False,
-    )
-    assert ended.returncode == 2
-    error = ended.stderr.strip().splitlines()[-1]
+    error = error_without_terminal("demo", *SMALL, "source=keyboard", f"out={folder}", term=term)
     assert all(word in error for word in ("source=keyboard", "source=scripted", "koopdqn import"))
     assert not [path.name for path in folder.glob("*") if not path.name.startswith(".")]
 

@@ -5,13 +5,12 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from small_run import SMALL
-from terminal_session import CHECKOUT, QUESTION, Session
+from terminal_session import QUESTION, Session, error_without_terminal
 
 from koopdqn import cli
 
@@ -142,19 +141,10 @@ def test_without_colour_the_screen_says_the_same(tmp_path: Path) -> None:
             assert word in session.text
 
 
-@pytest.mark.parametrize("environment", [{"TERM": "xterm"}, {"TERM": "dumb"}])
-def test_without_a_terminal_nothing_is_begun(tmp_path: Path, environment: dict[str, str]) -> None:
+@pytest.mark.parametrize("term", ["xterm", "dumb"])
+def test_without_a_terminal_nothing_is_begun(tmp_path: Path, term: str) -> None:
     folder = tmp_path / "run"
-    ended = subprocess.run(
-        [sys.executable, "-m", "koopdqn", "train", *ASKING, "oracle=terminal", f"out={folder}"],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        env={**os.environ, **environment, "PYTHONPATH": CHECKOUT},
-        check=False,
-    )
-    assert ended.returncode == 2
-    error = ended.stderr.strip().splitlines()[-1]
+    error = error_without_terminal("train", *ASKING, "oracle=terminal", f"out={folder}", term=term)
     assert "oracle=terminal" in error
     assert all(word in error for word in ("oracle=scripted", "oracle=file", "oracle=replay"))
     assert not list(folder.glob("*.hdf5"))

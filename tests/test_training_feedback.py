@@ -7,7 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_trainer, untrusting
+from helpers_training import (
+    FORGETFUL,
+    UNCHECKED,
+    assert_same_run,
+    assert_spends_its_budget,
+    small_trainer,
+    untrusting,
+)
 from parts import Clerk, Parts
 
 from koopdqn import pose
@@ -18,7 +25,7 @@ from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.feedback.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.training.feedback import Budget, Feedback
+from koopdqn.training.feedback import Feedback
 from koopdqn.training.trainer import Trainer
 from koopdqn.workcell import Workcell
 
@@ -259,20 +266,8 @@ def test_a_better_action_is_taken_next_even_if_it_was_passed_over(make: Make) ->
 
 @pytest.mark.parametrize("when_spent", ["stop", "distrust", "scripted"])
 def test_a_spent_budget_asks_no_more(make: Make, workcell: Workcell, when_spent: str) -> None:
-    clerk = Scripted(ScriptedOracle(workcell.task), {})
-    trainer = make(
-        clerk,
-        budget=Budget(5, when_spent),  # type: ignore[arg-type]  # one of the literals
-        feedback=FORGETFUL,
-        train={"max_steps": 300, "max_episodes": 60, **UNCHECKED},
-    )
-    trainer.run()
-    assert trainer.questions == len(clerk.asked) == 5
-    assert [asked.left for asked in clerk.asked] == [5, 4, 3, 2, 1]
-    assert trainer.feedback.spent
-    assert trainer.feedback.stopped == (when_spent == "stop")
+    trainer = assert_spends_its_budget(make, Scripted(ScriptedOracle(workcell.task), {}), when_spent)
     substituted = trainer.feedback.substituted
-    assert (substituted > 0) == (when_spent == "scripted")
     assert trainer.history.judged[ASKED] == 5 + substituted
     if when_spent != "stop":
         assert trainer.env_steps >= 300 or len(trainer.history.rewards) >= 60

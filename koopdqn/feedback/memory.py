@@ -66,11 +66,6 @@ class AnswerMemory:
             values.append(value)
         self._stacked = None
 
-    @property
-    def agreed(self) -> list[bool]:
-        """Whether the intent model had said the same, for each answer."""
-        return [(margin >= 0) == right for margin, right in zip(self.margins, self.right, strict=True)]
-
     def recall(self, poses: Array, margins: Array) -> np.ndarray:
         """Return which answer holds for each of K actions from poses (N, 7): its place (N, K), or −1.
 
@@ -100,8 +95,7 @@ class AnswerMemory:
     def extension(self) -> tuple[Array, Array, Array]:
         """Return the poses (M, 7) of yeses, and (D, 7) before and after those that the model did not expect."""
         yes = [i for i, right in enumerate(self.right) if right]
-        agreed = self.agreed
-        unexpected = [i for i in yes if not agreed[i]]
+        unexpected = [i for i in yes if self.margins[i] < 0]
         return _rows(self.poses, yes), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
 
     def withdraw(self, numbers: set[int]) -> None:

@@ -1,5 +1,6 @@
 """What happened during training: for ``train.json``, the curves and the checkpoint."""
 
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -48,8 +49,9 @@ class History:
     @classmethod
     def restored(cls, state: dict[str, Any]) -> "History":
         """Return the history that :meth:`state` described."""
-        arrays = {name: np.array(state[name], dtype=np.int64) for name in ("judged", "agreed")}
-        return cls(**{**state, **arrays, "checks": [Check(**check) for check in state["checks"]]})
+        own = deepcopy(state)
+        arrays = {name: np.array(own[name], dtype=np.int64) for name in ("judged", "agreed")}
+        return cls(**{**own, **arrays, "checks": [Check(**check) for check in own["checks"]]})
 
     def agreement(self) -> dict[str, float | None]:
         """Return the share of rewards that agree with the demonstrator, by source; None where none was given."""
