@@ -65,6 +65,11 @@ class Derivation(TaskChoice):
     centring_path: Literal["mean", "nearest"] = Field(
         description="that path: the mean of the demonstrations, or whichever of them is nearest"
     )
+    lead_back_m: float = Field(
+        ge=0,
+        le=1.0,
+        description="how far beside that path the model's prediction leads back to it at 45° [m]; 0: never",
+    )
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
     end_spread_m: Positive = Field(description="how far a demonstration may end from the mean of all ends [m]")
     end_spread_rad: Positive = Field(description="the same for its orientation, where that matters [rad]")
@@ -148,6 +153,7 @@ class Derivation(TaskChoice):
             modelled_pull_back_m=self.modelled_pull_back_m,
             centring=self.centring,
             centring_path=self.centring_path,
+            lead_back_m=self.lead_back_m,
             variation_m=0.0,
             least_clearance_m=0.0,
             paper=self.paper,

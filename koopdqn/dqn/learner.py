@@ -2,11 +2,13 @@
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from koopdqn.dqn.network import QNetwork
 from koopdqn.dqn.replay import Transitions
 from koopdqn.dqn.settings import AgentSettings
+from koopdqn.environment.actions import COUNT
 
 
 def q_targets(
@@ -64,21 +66,28 @@ class Learner:
         self.target.normalise_to(observations)
 
     def update(self, batch: Transitions) -> float:
-        """Make one update from a batch and return its loss (mean squared error)."""
-        following = torch.from_numpy(batch.following)
-        stop = torch.from_numpy(batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone)
+        """Make one update from a batch and return its loss (mean squared error).
+
+        Transitions of one state that follow one another in the batch share its pass through the network.
+        """
+        stop = batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone
+        # Most actions from a state are wrong and followed by nothing.
+        follows = np.flatnonzero(~stop)
+        following = torch.from_numpy(batch.following[follows])
+        online, target = torch.zeros(2, len(stop), COUNT)
         with torch.no_grad():
+            online[follows], target[follows] = self.online(following), self.target(following)
             targets = q_targets(
                 torch.from_numpy(batch.rewards),
-                stop,
-                self.online(following),
-                self.target(following),
+                torch.from_numpy(stop),
+                online,
+                target,
                 self.settings.gamma,
                 self.settings.double,
             )
-        values = self.online(torch.from_numpy(batch.observations))
-        chosen = values.gather(1, torch.from_numpy(batch.actions)[:, None]).squeeze(1)
-        loss = nn.functional.mse_loss(chosen, targets)
+        states, state_of = _distinct(batch.observations)
+        values = self.online(torch.from_numpy(states))
+        loss = nn.functional.mse_loss(values[state_of, batch.actions], targets)
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
         self._optimizer.step()
@@ -88,9 +97,14 @@ class Learner:
                 torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
         return float(loss.detach())
 
+    @property
+    def policy_network(self) -> QNetwork:
+        """The network whose argmax is the policy: the online one or, as an average of it over updates, the target."""
+        return self.target if self.settings.policy_network == "target" else self.online
+
     def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return a copy of the online network's parameters and buffers."""
-        return _arrays_of(self.online)
+        """Return a copy of the policy network's parameters and buffers."""
+        return _arrays_of(self.policy_network)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return everything the learner needs to go on, as arrays."""
@@ -111,6 +125,13 @@ class Learner:
         groups = self._optimizer.state_dict()["param_groups"]
         self._optimizer.load_state_dict({"state": moments, "param_groups": groups})
         self.updates = int(state["updates"])
+
+
+def _distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
+    """Return observations (N, inputs) with each run of equal ones as one (B, inputs), and which each is (N,)."""
+    new = np.ones(len(observations), dtype=bool)
+    new[1:] = (observations[1:] != observations[:-1]).any(axis=1)
+    return observations[new], np.cumsum(new) - 1
 
 
 def load_arrays(network: QNetwork, arrays: dict[str, np.ndarray]) -> None:

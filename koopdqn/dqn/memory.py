@@ -4,6 +4,7 @@ import os
 from itertools import pairwise
 
 from koopdqn.dqn.settings import AgentSettings
+from koopdqn.environment.actions import COUNT
 from koopdqn.errors import BadInputError
 
 _GIB = 2**30
@@ -25,12 +26,13 @@ def needed_bytes(agent: AgentSettings, inputs: int) -> dict[str, int]:
         inputs: number of values observed.
     """
     widths = [inputs + agent.network.fourier_features, *agent.network.hidden, 10]
+    tried = COUNT if agent.drawn == "states" else 1
     # Every weight is drawn in double precision before it is kept.
     largest = max(before * after for before, after in pairwise(widths))
     weights = sum(before * after for before, after in pairwise(widths))
     return {
         "agent.network": _COPIES_OF_WEIGHTS * _FLOAT32 * weights + 2 * _FLOAT32 * largest,
-        "agent.batch": _COPIES_OF_ACTIVATIONS * _FLOAT32 * agent.batch * sum(widths),
+        "agent.batch": _COPIES_OF_ACTIVATIONS * _FLOAT32 * agent.batch * tried * sum(widths),
         "agent.replay": agent.replay * (2 * _FLOAT32 * inputs + _TRANSITION),
         "agent.episodes_at_once": agent.episodes_at_once * _EPISODE,
     }

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koopdqn.environment.actions import COUNT
+
 
 @dataclass(frozen=True)
 class Transitions:
@@ -81,6 +83,21 @@ class ReplayBuffer:
     def sample(self, rng: np.random.Generator, count: int) -> Transitions:
         """Return ``count`` transitions drawn evenly, with replacement."""
         index = rng.integers(len(self), size=count)
+        return self._at(index)
+
+    def sample_states(self, rng: np.random.Generator, count: int) -> Transitions:
+        """Return everything tried from ``count`` states, drawn with replacement by how much was tried there.
+
+        What was tried from a state and stored at the same time lies together, in the buffer as in what is returned.
+        """
+        held = len(self)
+        drawn = rng.integers(held, size=count)
+        most = min(COUNT - 1, (held - 1) // 2)
+        near = (drawn[:, None] + np.arange(-most, most + 1)) % held
+        poses = self._arrays["poses"]
+        return self._at(near[(poses[near] == poses[drawn][:, None]).all(axis=2)])
+
+    def _at(self, index: np.ndarray) -> Transitions:
         return Transitions(**{name: self._arrays[name][index] for name in FIELDS})
 
     def held(self) -> Transitions:

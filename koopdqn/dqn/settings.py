@@ -23,11 +23,18 @@ class AgentSettings(Settings):
     gamma: float = Field(ge=0, lt=1, description="discount γ")
     double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
     learning_rate: float = Field(gt=0, le=1)
-    batch: Count = Field(description="transitions in one update")
+    drawn: Literal["states", "transitions"] = Field(
+        description="what an update draws from the replay buffer: states with all that was tried from them,"
+        " or single transitions"
+    )
+    batch: Count = Field(description="how many of them")
     replay: Count = Field(description="transitions kept")
     warm_up: Count = Field(description="transitions gathered before the first update")
     target_rate: float = Field(gt=0, le=1, description="share of the way the target network moves at a target update")
     target_every: Count = Field(description="updates between two target updates")
+    policy_network: Literal["online", "target"] = Field(
+        description="whose argmax is the policy: the online network, or the target as its average over many updates"
+    )
     episodes_at_once: Count = Field(description="episodes that run side by side")
     rounds_per_update: Count = Field(description="steps of all episodes between two times of updating")
     updates_per_round: Count = Field(description="updates at each such time")

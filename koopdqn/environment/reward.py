@@ -28,6 +28,8 @@ NO_ANSWER: Final = -1
 
 # Below this a motion is none: 1e-9 m or rad is far under any tolerance and over rounding.
 _NO_MOTION = 1e-9
+# So far before the goal leading back to a path begins to fade.
+_END_M = 0.02
 
 
 class RewardSettings(Settings):
@@ -54,7 +56,15 @@ class RewardSettings(Settings):
         description="that path: the mean of the demonstrations, or whichever of them is nearest"
     )
     centring_within_m: float = Field(
-        gt=0, le=10, description="distance from that path over which centring fades, a standard deviation [m]"
+        gt=0,
+        le=10,
+        description="distance from that path over which centring and leading back fade, a standard deviation [m]",
+    )
+    lead_back_m: float = Field(
+        ge=0,
+        le=10,
+        description="distance from that path, near it, at which a prediction is turned to lead back to it as much as"
+        " along it [m]; 0 leaves the prediction to the intent model (the paper)",
     )
     size: float = Field(gt=0, le=1e3, description="largest absolute reward of a step")
     goal: float = Field(ge=0, le=1e3, description="added when a right action reaches the goal")
@@ -94,7 +104,8 @@ class IntentReward:
         model: the intent model.
         trust: its trust domain.
         settings: how a comparison becomes a reward.
-        path: what rewards are centred on, see :func:`koopdqn.demonstrations.resample.shown_paths`.
+        path: what rewards are centred on and predictions led back to, see
+            :func:`koopdqn.demonstrations.resample.shown_paths`.
     """
 
     def __init__(
@@ -110,9 +121,34 @@ class IntentReward:
 
     def predicted(self, poses: Array) -> Array:
         """Return the poses (N, 7) that reached poses are compared with, from poses (N, 7)."""
-        if self.settings.prediction == "raw":
-            return self.model.predict(poses)
-        return self.model.preferred(poses, self.task.step_m)
+        raw = self.settings.prediction == "raw"
+        predicted = self.model.predict(poses) if raw else self.model.preferred(poses, self.task.step_m)
+        return self._led_back(poses, predicted) if self.settings.lead_back_m > 0 else predicted
+
+    def _led_back(self, poses: Array, predicted: Array) -> Array:
+        """Return predicted poses (N, 7) turned toward the path, as long a motion from poses (N, 7) as before.
+
+        Where demonstrations lie side by side the model leads along their bundle and lets ten coarse actions drift
+        across it. At the goal, where paths end, the model alone leads.
+        """
+        position = poses[:, pose.POSITION]
+        motion = predicted[:, pose.POSITION] - position
+        length = np.linalg.norm(motion, axis=1, keepdims=True)
+        along = motion / np.where(length > 0, length, 1.0)
+        aside = self.path.nearest(position) - position
+        near = self._nearness(np.linalg.norm(aside, axis=1, keepdims=True))
+        left = pose.position_distance(poses, self.task.goal)[:, None]
+        across = aside - (aside * along).sum(axis=1, keepdims=True) * along
+        turned = along + near * np.minimum(1.0, left / _END_M) * across / self.settings.lead_back_m
+        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), _NO_MOTION)
+        return pose.make(position + length * turned, predicted[:, pose.QUATERNION])
+
+    def _nearness(self, aside: Array) -> Array:
+        """Return from 0 to 1 how much the path counts, distances (N, 1) from it.
+
+        It counts nearby only: from afar a person comes back to it in a way of their own.
+        """
+        return np.asarray(np.exp(-0.5 * (aside / self.settings.centring_within_m) ** 2))
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array) -> "IntentReward":
         """Return the reward function with a model and a trust domain extended by answers.
@@ -156,13 +192,10 @@ class IntentReward:
         )
 
     def _centring(self, poses: Array, reached: Array) -> tuple[Array, Array]:
-        """Return how much coming nearer to the path counts (N, 1), and from 0 to 1 how much nearer each comes (N, 10).
-
-        It counts near the path only: from afar a person comes back to it in a way of their own.
-        """
+        """Return how much coming nearer to the path counts (N, 1), and how much nearer each comes (N, 10): 0 to 1."""
         aside = self.path.distance(poses[:, pose.POSITION])[:, None]
         after = self.path.distance(reached[..., pose.POSITION].reshape(-1, 3)).reshape(reached.shape[:2])
-        share = self.settings.centring * np.exp(-0.5 * (aside / self.settings.centring_within_m) ** 2)
+        share = self.settings.centring * self._nearness(aside)
         return share, 0.5 + 0.5 * np.clip((aside - after) / self.task.step_m, -1.0, 1.0)
 
     def _certain(self, margin: Array) -> np.ndarray:

@@ -80,6 +80,11 @@ class PathSet:
         distance, _ = self._tree.query(np.asarray(positions, dtype=float))
         return np.asarray(distance)
 
+    def nearest(self, positions: ArrayLike) -> Array:
+        """Return the point (N, 3) [m] of any of the curves that is nearest to each position (N, 3) [m]."""
+        _, index = self._tree.query(np.asarray(positions, dtype=float))
+        return np.asarray(self._tree.data[index])
+
     @cached_property
     def _tree(self) -> "KDTree":
         from scipy.spatial import KDTree

@@ -75,6 +75,11 @@ class Task(TaskChoice):
         description="that path: the mean of the demonstrations, for people who all mean the same path, or whichever"
         " demonstration is nearest, for those who keep to a path of their own from their own start"
     )
+    lead_back_m: float = Field(
+        ge=0,
+        le=1.0,
+        description="how far beside that path the model's prediction leads back to it at 45° [m]; 0: never",
+    )
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
     paper: PaperSettings

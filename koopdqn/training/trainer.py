@@ -116,12 +116,13 @@ class Trainer:
             on_check: called after every check, when the run may be saved.
             on_round: called after every step of all episodes.
         """
+        draw = self._replay.sample_states if self.agent.drawn == "states" else self._replay.sample
         while not self._finished():
             self._round()
             checks = []
             due = self.env_steps >= self.agent.warm_up and self.rounds % self.agent.rounds_per_update == 0
             for _ in range(self.agent.updates_per_round if due else 0):
-                self._losses.append(self.learner.update(self._replay.sample(self._batch_rng, self.agent.batch)))
+                self._losses.append(self.learner.update(draw(self._batch_rng, self.agent.batch)))
                 if self.learner.updates % self.settings.check_every == 0:
                     checks.append(self._check())
             self.rounds += 1
@@ -259,7 +260,7 @@ class Trainer:
         self._begin(index)
 
     def _check(self) -> Check:
-        success, failures = self._checker.measure(Policy(self.learner.online, self._task))
+        success, failures = self._checker.measure(Policy(self.learner.policy_network, self._task))
         check = Check(self.learner.updates, self.env_steps, len(self.history.rewards), success, failures)
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
