@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.config.settings import Fraction, Positive
+from koopdqn.config.settings import Count, Fraction, Positive
 from koopdqn.demonstrations import ends
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.idle import Trimmed, trimmed
@@ -74,6 +74,7 @@ class Derivation(TaskChoice):
     end_spread_m: Positive = Field(description="how far a demonstration may end from the mean of all ends [m]")
     end_spread_rad: Positive = Field(description="the same for its orientation, where that matters [rad]")
     held_limit_rad: Positive = Field(description="turn from the goal up to which orientation counts as held [rad]")
+    checks_to_learn: Count = Field(description="passed checks in a row that count as learned, by default")
     paper: PaperSettings
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
@@ -156,6 +157,7 @@ class Derivation(TaskChoice):
             lead_back_m=self.lead_back_m,
             variation_m=0.0,
             least_clearance_m=0.0,
+            checks_to_learn=self.checks_to_learn,
             paper=self.paper,
             turning=turning,
             held_limit_rad=self.held_limit_rad,

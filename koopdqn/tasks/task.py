@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Settings, Vector3, Vector4
+from koopdqn.config.settings import Count, Settings, Vector3, Vector4
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrator import Demonstrator, TurnLaw
 from koopdqn.tasks.law import Law
@@ -82,6 +82,7 @@ class Task(TaskChoice):
     )
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
+    checks_to_learn: Count = Field(description="passed checks in a row that count as learned, by default")
     paper: PaperSettings
 
     @model_validator(mode="after")
