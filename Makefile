@@ -16,7 +16,7 @@ MINUTES ?= 90
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench ablations study docs figures package constraints clean
+.PHONY: help setup demo test learn lint format types bench ablations parts study docs figures package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -54,6 +54,9 @@ bench: $(STAMP) ## Measure speed on this machine
 
 ablations: $(STAMP) ## Measure what each idea adds, on TASKS; takes about half an hour a task, goes on where it stopped
 	$(BIN)/python scripts/ablations.py --tasks $(TASKS)
+
+parts: $(STAMP) ## Measure what each part of the DQN does, seed 0 of both tasks; goes on where it stopped
+	$(BIN)/python scripts/dqn_parts.py
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py --minutes $(MINUTES)

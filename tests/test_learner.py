@@ -5,7 +5,7 @@ from parts import Parts
 
 from koopdqn.dqn.learner import Learner, load_arrays, q_targets
 from koopdqn.dqn.network import QNetwork
-from koopdqn.dqn.replay import Transitions
+from koopdqn.dqn.replay import FIELDS, Transitions
 from koopdqn.dqn.settings import AgentSettings
 
 ONLINE = torch.tensor([[1.0, 5.0, 2.0], [7.0, 0.0, 1.0], [3.0, 2.0, 9.0]])
@@ -74,6 +74,20 @@ def test_a_loss_is_the_mean_squared_error_to_the_targets(agent: AgentSettings) -
     # The target network begins as the online one.
     targets = data.rewards + 0.5 * following[rows, following.argmax(axis=1)]
     assert made.update(data) == pytest.approx(np.mean((values[rows, data.actions] - targets) ** 2), rel=1e-5)
+
+
+def test_transitions_of_one_state_teach_the_same_whether_they_lie_together_or_not(agent: AgentSettings) -> None:
+    rng = np.random.default_rng(3)
+    states = np.repeat(rng.normal(size=(8, 5)).astype(np.float32), 4, axis=0)
+    stops = {"terminated": rng.random(32) < 0.3, "undone": rng.random(32) < 0.5}
+    together = batch(0, observations=states, **stops)
+    order = rng.permutation(32)
+    scattered = Transitions(**{name: getattr(together, name)[order] for name in FIELDS})
+    one, two = learner(agent), learner(agent)
+    for _ in range(5):
+        assert one.update(together) == pytest.approx(two.update(scattered), rel=1e-4)
+    for mine, other in zip(one.policy_arrays().values(), two.policy_arrays().values(), strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize("double", [True, False])
@@ -194,8 +208,9 @@ def test_a_learner_can_be_restored_before_its_first_update(agent: AgentSettings)
     assert new.update(batch(0)) == old.update(batch(0))
 
 
-def test_the_policys_arrays_are_a_copy_of_the_online_network(agent: AgentSettings) -> None:
-    made = learner(agent)
+@pytest.mark.parametrize("which", ["online", "target"])
+def test_the_policys_arrays_are_a_copy_of_the_network_that_is_the_policy(agent: AgentSettings, which: str) -> None:
+    made = learner(agent.model_copy(update={"policy_network": which}))
     arrays = made.policy_arrays()
     before = {name: values.copy() for name, values in arrays.items()}
     made.update(batch(0))
@@ -203,7 +218,9 @@ def test_the_policys_arrays_are_a_copy_of_the_online_network(agent: AgentSetting
         np.testing.assert_array_equal(arrays[name], values)
     twin = QNetwork(5, agent.network, np.random.default_rng(8))
     load_arrays(twin, made.policy_arrays())
-    np.testing.assert_array_equal(twin.values(batch(1).observations), made.online.values(batch(1).observations))
+    wanted, other = (made.online, made.target) if which == "online" else (made.target, made.online)
+    np.testing.assert_array_equal(twin.values(batch(1).observations), wanted.values(batch(1).observations))
+    assert np.abs(twin.values(batch(1).observations) - other.values(batch(1).observations)).max() > 1e-4
 
 
 def test_arrays_of_another_shape_are_refused(agent: AgentSettings) -> None:

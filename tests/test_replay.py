@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -62,6 +64,33 @@ def test_every_held_transition_is_drawn_about_equally_often() -> None:
     numbers, counts = np.unique(drawn, return_counts=True)
     np.testing.assert_array_equal(numbers, np.arange(3, 13))
     assert counts == pytest.approx(2000, rel=0.1)
+
+
+def tried(sizes: list[int]) -> Transitions:
+    """Transitions of which so many were tried from each of as many states."""
+    made = numbered(list(range(sum(sizes))))
+    return replace(made, poses=np.repeat(np.arange(len(sizes), dtype=float)[:, None], 7, axis=1).repeat(sizes, axis=0))
+
+
+@given(
+    capacity=st.integers(1, 60),
+    sizes=st.lists(st.integers(1, 10), min_size=1, max_size=12),
+    count=st.integers(1, 20),
+    seed=st.integers(0, 100),
+)
+def test_a_drawn_state_comes_whole_and_together(capacity: int, sizes: list[int], count: int, seed: int) -> None:
+    buffer, data = ReplayBuffer(capacity, 2), tried(sizes)
+    buffer.add(data)
+    drawn = buffer.sample_states(np.random.default_rng(seed), count)
+    numbers = drawn.observations[:, 0].astype(int)
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(drawn, name), getattr(data, name)[numbers])
+    held, begin, states = buffer.held(), 0, 0
+    while begin < len(numbers):
+        wanted = held.observations[(held.poses == drawn.poses[begin]).all(axis=1), 0].astype(int)
+        assert set(numbers[begin : begin + len(wanted)]) == set(wanted)
+        begin, states = begin + len(wanted), states + 1
+    assert states == count
 
 
 @given(capacity=st.integers(1, 12), sizes=sizes_lists.filter(sum), more=st.integers(0, 15))

@@ -19,6 +19,7 @@ SIGN = RewardSettings(
     centring=0.0,
     centring_path="mean",
     centring_within_m=0.01,
+    lead_back_m=0.0,
     size=1.0,
     goal=0.0,
 )
@@ -225,3 +226,53 @@ def test_far_from_the_mean_path_centring_vanishes(reward: IntentReward, trajecto
     assert 20 < far.sum() < len(poses)
     np.testing.assert_allclose(narrow[far], plain[far], atol=1e-12)
     assert np.abs(narrow - plain)[~far].max() > 0.1
+
+
+@settings(max_examples=25)
+@given(seed=st.integers(0, 1000), lead_back=st.floats(0.002, 0.05), prediction=st.sampled_from(["raw", "rescaled"]))
+def test_leading_back_turns_a_prediction_toward_the_path_and_keeps_its_length_and_turn(
+    reward: IntentReward, trajectories: list[Array], seed: int, lead_back: float, prediction: str
+) -> None:
+    poses, _ = beside(trajectories, seed, 30, 0.006)
+    plain = reward_with(reward, prediction=prediction, lead_back_m=0.0).predicted(poses)
+    led = reward_with(reward, prediction=prediction, lead_back_m=lead_back).predicted(poses)
+    moved, turned = plain[:, :3] - poses[:, :3], led[:, :3] - poses[:, :3]
+    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(moved, axis=1), atol=1e-12)
+    np.testing.assert_array_equal(plain[:, 3:], led[:, 3:])
+    aside = reward.path.nearest(poses[:, :3]) - poses[:, :3]
+    along = moved / np.linalg.norm(moved, axis=1, keepdims=True)
+    across = aside - (aside * along).sum(axis=1, keepdims=True) * along
+    # Never away from the path, and in the plane of the prediction and the way back.
+    assert ((turned * across).sum(axis=1) >= -1e-12).all()
+    assert ((turned * along).sum(axis=1) > 0).all()
+
+
+def test_so_far_from_the_path_as_it_says_it_leads_back_at_45_degrees(
+    reward: IntentReward, trajectories: list[Array]
+) -> None:
+    (path,) = reward.path.paths
+    position = path.points[len(path.points) // 2]
+    start = pose.make(position, trajectories[0][0, 3:])
+    motion = reward.predicted(start[None])[0, :3] - position
+    across = np.cross(motion, [0.3, -0.2, 0.9])
+    beside_it = pose.make(position + 0.004 * across / np.linalg.norm(across), start[3:])[None]
+    nearest = reward.path.nearest(beside_it[:, :3])[0] - beside_it[0, :3]
+    settings = {"lead_back_m": float(np.linalg.norm(nearest)), "centring_within_m": 10.0}
+    plain = reward.predicted(beside_it)[0, :3] - beside_it[0, :3]
+    led = reward_with(reward, **settings).predicted(beside_it)[0, :3] - beside_it[0, :3]
+    along = plain / np.linalg.norm(plain)
+    across = nearest - (nearest @ along) * along
+    # Its lean is the distance across over lead_back, which is 1 where the way back is square to the prediction.
+    lean = np.linalg.norm(led - (led @ along) * along) / (led @ along)
+    assert lean == pytest.approx(np.linalg.norm(across) / np.linalg.norm(nearest), rel=1e-3)
+    assert lean > 0.9
+
+
+def test_far_from_the_path_and_at_the_goal_nothing_leads_back(reward: IntentReward, trajectories: list[Array]) -> None:
+    led = reward_with(reward, lead_back_m=0.005, centring_within_m=0.002)
+    poses, _ = beside(trajectories, 5, 200, 0.01)
+    far = reward.path.distance(poses[:, :3]) > 0.016
+    assert far.sum() > 20
+    np.testing.assert_allclose(led.predicted(poses)[far], reward.predicted(poses)[far], atol=1e-12)
+    goal = reward.task.goal[None]
+    np.testing.assert_array_equal(led.predicted(goal), reward.predicted(goal))

@@ -65,7 +65,7 @@ def question_at(judged: Judgement, point: Array, action: int) -> Question:
 def ask(trainer: Trainer, point: Array, action: int) -> bool | None:
     """Ask about an action at a pose (7,) as training does, without an episode."""
     judged = trainer.feedback.judge(point[None], np.array([0]))
-    return trainer.feedback.ask(question_at(judged, point, action), judged, 0, trainer._replay).right
+    return trainer.feedback.ask(question_at(judged, point, action), judged, 0, trainer.replay).right
 
 
 def unexpected(reward: IntentReward, point: Array) -> int:
@@ -143,7 +143,7 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     trainer = make(agent={"replay": 5000})
     trainer.run()
     trainer.feedback._oracle = Clerk()
-    held = trainer._replay.held()
+    held = trainer.replay.held()
     trusted = held.sources == TRUSTED
     point = held.poses[np.flatnonzero(trusted)[0]]
     before = trainer.feedback.reward
@@ -153,7 +153,7 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     after = trainer.feedback.reward
     gaps = [pose.position_distance(each.predicted(point[None])[0], reached) for each in (before, after)]
     assert gaps[1] < 0.1 * gaps[0]
-    held = trainer._replay.held()
+    held = trainer.replay.held()
     rows = np.flatnonzero(held.sources == TRUSTED)
     judged = after.judge(held.poses[rows], held.steps[rows])
     each = np.arange(len(rows)), held.actions[rows]
@@ -170,7 +170,7 @@ def test_an_undo_takes_back_the_answers_transitions_and_its_effect_but_no_counte
     trainer = make(agent={"replay": 5000})
     trainer.run()
     points = np.concatenate(trajectories)[::7]
-    held, before = trainer._replay.held(), replace_reward(trainer)
+    held, before = trainer.replay.held(), replace_reward(trainer)
     counters = trainer.questions, trainer.env_steps, trainer.learner.updates, trainer.next_episode
     point = trajectories[0][60]
     action = unexpected(trainer.feedback.reward, point)
@@ -184,7 +184,7 @@ def test_an_undo_takes_back_the_answers_transitions_and_its_effect_but_no_counte
     assert ask(trainer, trajectories[0][90], 5) is None
     assert number not in trainer.feedback.memory.numbers
     assert_same_judgement(trainer.feedback.reward, before, points)
-    now = trainer._replay.held()
+    now = trainer.replay.held()
     assert number not in now.answers
     # What rests on other answers, on rules or on a trusted model that is as it was has stayed.
     np.testing.assert_array_equal(now.poses, held.poses)
@@ -204,13 +204,13 @@ def replace_reward(trainer: Trainer) -> IntentReward:
 def test_an_undo_removes_exactly_the_transitions_of_the_withdrawn_answers(make: Make) -> None:
     trainer = make(feedback=REMEMBERING, agent={"replay": 5000})
     trainer.run()
-    held = trainer._replay.held()
+    held = trainer.replay.held()
     standing = sorted(set(trainer.feedback.memory.numbers))
     gone = standing[-3:]
     trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=3)})
     point = held.poses[0]
     ask(trainer, point, 5)
-    now, kept = trainer._replay.held(), ~np.isin(held.answers, gone)
+    now, kept = trainer.replay.held(), ~np.isin(held.answers, gone)
     assert (~kept).sum() > 0
     for name in ("poses", "actions", "rewards", "answers"):
         np.testing.assert_array_equal(getattr(now, name), getattr(held, name)[kept])

@@ -39,8 +39,8 @@ class QNetwork(nn.Module):
         widths = [inputs + features, *settings.hidden]
         layers: list[nn.Module] = []
         for before, after in pairwise(widths):
-            layers += [_linear(before, after, rng), nn.ReLU()]
-        self.layers = nn.Sequential(*layers, _linear(widths[-1], COUNT, rng))
+            layers += [linear(before, after, rng), nn.ReLU()]
+        self.layers = nn.Sequential(*layers, linear(widths[-1], COUNT, rng))
 
     def normalise_to(self, observations: NDArray[np.float32]) -> None:
         """Take mean and spread of the inputs from observations (N, inputs)."""
@@ -49,11 +49,15 @@ class QNetwork(nn.Module):
 
     def forward(self, observations: Tensor) -> Tensor:
         """Return the values Q (N, 10) of observations (N, inputs)."""
+        return cast(Tensor, self.layers(self.features(observations)))
+
+    def features(self, observations: Tensor) -> Tensor:
+        """Return what the first layer sees (N, inputs + features) of observations (N, inputs)."""
         normalised = (observations - self.mean) / self.spread
-        if self.phases.numel():
-            waves = torch.cos(observations[:, :_POSITION] @ self.frequencies + self.phases)
-            normalised = torch.cat([normalised, np.sqrt(2.0) * waves], dim=1)
-        return cast(Tensor, self.layers(normalised))
+        if not self.phases.numel():
+            return normalised
+        waves = torch.cos(observations[:, :_POSITION] @ self.frequencies + self.phases)
+        return torch.cat([normalised, np.sqrt(2.0) * waves], dim=1)
 
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the values Q (N, 10) of observations (N, inputs), without gradients."""
@@ -65,8 +69,8 @@ def _drawn(values: NDArray[np.float64]) -> Tensor:
     return torch.from_numpy(values.astype(np.float32))
 
 
-def _linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
-    # He initialisation from a generator of our own: no global random state.
+def linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
+    """Return a layer whose weights (He et al. 2015) come from ``rng``, not from global random state."""
     layer = nn.Linear(inputs, outputs, device="meta").to_empty(device="cpu")
     with torch.no_grad():
         layer.weight.copy_(_drawn(rng.normal(scale=np.sqrt(2.0 / inputs), size=(outputs, inputs))))

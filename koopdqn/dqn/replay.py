@@ -82,8 +82,7 @@ class ReplayBuffer:
 
     def sample(self, rng: np.random.Generator, count: int) -> Transitions:
         """Return ``count`` transitions drawn evenly, with replacement."""
-        index = rng.integers(len(self), size=count)
-        return self._at(index)
+        return self.at(self.draw(rng, count))
 
     def sample_states(self, rng: np.random.Generator, count: int) -> Transitions:
         """Return everything tried from ``count`` states, drawn with replacement by how much was tried there.
@@ -91,13 +90,18 @@ class ReplayBuffer:
         What was tried from a state and stored at the same time lies together, in the buffer as in what is returned.
         """
         held = len(self)
-        drawn = rng.integers(held, size=count)
-        most = min(COUNT - 1, (held - 1) // 2)
-        near = (drawn[:, None] + np.arange(-most, most + 1)) % held
+        drawn = self.draw(rng, count)
+        width = min(held, 2 * COUNT - 1)
+        near = (drawn[:, None] + np.arange(width) - width // 2) % held
         poses = self._arrays["poses"]
-        return self._at(near[(poses[near] == poses[drawn][:, None]).all(axis=2)])
+        return self.at(near[(poses[near] == poses[drawn][:, None]).all(axis=2)])
 
-    def _at(self, index: np.ndarray) -> Transitions:
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return the rows (count,) of transitions drawn evenly, with replacement."""
+        return rng.integers(len(self), size=count)
+
+    def at(self, index: np.ndarray) -> Transitions:
+        """Return the transitions in rows (M,)."""
         return Transitions(**{name: self._arrays[name][index] for name in FIELDS})
 
     def held(self) -> Transitions:

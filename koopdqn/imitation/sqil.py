@@ -103,11 +103,14 @@ class Sqil:
         return Imitator(best, self.learner.updates, self.env_steps)
 
     def _policy(self) -> Policy:
-        return Policy(deepcopy(self.learner.online), self._workcell.task)
+        return Policy(deepcopy(self.learner.policy_network), self._workcell.task)
 
     def batch(self) -> Transitions:
-        """Return a batch for an update, the demonstrated half first; needs at least one action tried."""
-        half = max(1, self._agent.batch // 2)
+        """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own.
+
+        Needs at least one action tried.
+        """
+        half = self._agent.batch
         rows = self._draw.integers(len(self._shown.actions), size=half)
         own = self._replay.sample(self._draw, half)
         return Transitions(

@@ -34,6 +34,7 @@ class Trainer:
     Attributes:
         history: what happened so far.
         learner: the networks.
+        replay: the experience they learn from.
         best: the policy arrays of the best check so far.
         feedback: the reward function and what answers have taught.
         env_steps: actions tried so far: each transition that was stored.
@@ -76,7 +77,7 @@ class Trainer:
         weights, self._explore_rng, self._batch_rng = (np.random.default_rng([seed, 2, i]) for i in range(3))
         self.learner = Learner(size(self._task), agent, weights)
         self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
-        self._replay = ReplayBuffer(agent.replay, size(self._task))
+        self.replay = ReplayBuffer(agent.replay, size(self._task))
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
         self._starts = start_sampler(workcell, trajectories, agent, self.step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
@@ -116,7 +117,7 @@ class Trainer:
             on_check: called after every check, when the run may be saved.
             on_round: called after every step of all episodes.
         """
-        draw = self._replay.sample_states if self.agent.drawn == "states" else self._replay.sample
+        draw = self.replay.sample_states if self.agent.drawn == "states" else self.replay.sample
         while not self._finished():
             self._round()
             checks = []
@@ -230,7 +231,7 @@ class Trainer:
     def _ask(self, trial: Trial, judgement: Judgement, row: int, place: Place | None = None) -> bool:
         """Ask the oracle; return whether it answered (a skip is not a no)."""
         question = question_about(trial, self.feedback.reward, judgement, row, place)
-        outcome = self.feedback.ask(question, judgement, row, self._replay)
+        outcome = self.feedback.ask(question, judgement, row, self.replay)
         for point, other in outcome.reopened:
             self._batch.reopen(point, other)
         return outcome.right is not None
@@ -245,7 +246,7 @@ class Trainer:
 
     def _keep(self, tries: Tries) -> None:
         tries.tally(self.history, self._task)
-        self._replay.add(tries.transitions(self._task, step_back=self.agent.step_back))
+        self.replay.add(tries.transitions(self._task, step_back=self.agent.step_back))
         self.env_steps += len(tries.actions)
 
     def _end(self, index: int) -> None:
@@ -277,7 +278,7 @@ class Trainer:
         """Return everything a run needs to go on: arrays and JSON values."""
         parts = {
             "learner": self.learner.state(),
-            "replay": self._replay.state(),
+            "replay": self.replay.state(),
             "episodes": self._batch.state(),
             "gathered": self._gathering.state(),
             "best": self.best,
@@ -301,7 +302,7 @@ class Trainer:
             return {key.removeprefix(prefix): values for key, values in arrays.items() if key.startswith(prefix)}
 
         self.learner.restore(part("learner"))
-        self._replay.restore(part("replay"))
+        self.replay.restore(part("replay"))
         self._batch.restore(part("episodes"))
         self._gathering.restore(part("gathered"))
         self.best = part("best")

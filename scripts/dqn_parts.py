@@ -1,0 +1,151 @@
+"""Measures what each part of the DQN does: `make parts`.
+
+Every part is changed alone; seed 0 of both tasks is trained from the same demonstrations and the same intent model, and
+measured as `koopdqn eval` does. The results are kept in runs/parts.json, one for each task and part, and go as a table
+to docs/algorithm.md; what stands there is not measured again, so remove the file after a change that moves results.
+"""
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import monotonic
+from typing import Any, Final
+
+from dqn_variants import PARTS, Part
+
+from docs import replaced, rows_table
+from koopdqn import console
+from koopdqn.exit_status import guard
+from koopdqn.files import read_json, write_json, write_text
+
+RESULTS: Final = Path("runs") / "parts.json"
+PAGE: Final = Path("docs") / "algorithm.md"
+TASKS: Final = ("shelf", "knife")
+# Three times what the default needs.
+_LIMIT: Final = "train.max_steps=400000"
+_MEASURED: Final = ("eval.dynamics=false", "eval.baselines=false")
+_HEADS: Final = (
+    "changed",
+    "config",
+    "learned",
+    "updates",
+    "success [%]",
+    "deviation [mm]",
+    "p95 of largest [mm]",
+    "questions",
+    "training [s]",
+)
+
+
+def measured(task: str, part: Part) -> dict[str, Any]:
+    """Train with seed 0 and measure; return the result."""
+    import torch
+
+    from koopdqn.commands import stages
+    from koopdqn.commands.configuration import Configuration
+    from koopdqn.config.compose import composed
+    from koopdqn.config.overrides import prepare
+    from koopdqn.demonstrations.generator import generate
+    from koopdqn.demonstrations.resample import shown_paths
+    from koopdqn.dqn.policy import Policy
+    from koopdqn.environment.reward import IntentReward
+    from koopdqn.evaluation.evaluate import evaluate
+    from koopdqn.feedback.scripted import ScriptedOracle
+    from koopdqn.intent.fitting import agent_steps, fit
+    from koopdqn.training.trainer import Trainer
+
+    given = [f"task={task}", "seed=0", "out=unused", _LIMIT, *_MEASURED, *part.overrides]
+    tree = composed(prepare("train", given).overrides)
+    config = Configuration.load({key: tree[key] for key in tree if key != "hydra"})
+    torch.set_num_threads(config.train.threads)
+    workcell = stages.open_scene(config)
+    demonstrations = generate(config.task, workcell.reachability, config.demo, 0).demonstrations
+    fitted = fit(demonstrations, config.task, config.intent, config.trust)
+    trajectories = agent_steps(demonstrations, config.task)
+    path = shown_paths(trajectories, config.reward.centring_path)
+    reward = IntentReward(config.task, fitted.model, fitted.trust, config.reward, path)
+    oracle = ScriptedOracle(config.task)
+    trainer = Trainer(workcell, reward, trajectories, oracle, config.agent, config.train, 0, config.feedback)
+    part.change(trainer, trajectories)
+    began = monotonic()
+    trainer.run()
+    seconds = monotonic() - began
+    network = trainer.learner.policy_network
+    report = evaluate(
+        workcell,
+        Policy(network, config.task),
+        fitted.model,
+        fitted.trust,
+        trajectories,
+        config.eval,
+        trainer.step_limit,
+    ).report
+    return {
+        "task": task,
+        "part": part.name,
+        "learned": trainer.learned,
+        "updates": trainer.learner.updates,
+        "success_rate": report["success_rate"],
+        "path_deviation_mm": report["path_deviation_mm"]["mean"],
+        "p95_of_max_mm": report["path_deviation_mm"]["p95_of_max"],
+        "questions": trainer.questions,
+        "seconds": seconds,
+    }
+
+
+def table(results: Sequence[Mapping[str, Any]], parts: Sequence[Part] = PARTS) -> str:
+    """Return the Markdown table of one task's results, in the order of the parts."""
+    by_part = {result["part"]: result for result in results}
+    rows = []
+    for part in parts:
+        if part.name not in by_part:
+            continue
+        found = by_part[part.name]
+        rows.append(
+            (
+                part.about,
+                " ".join(f"`{item}`" for item in part.overrides),
+                "yes" if found["learned"] else "no",
+                f"{found['updates']:,}",
+                f"{100 * found['success_rate']:.0f}",
+                _millimetres(found["path_deviation_mm"]),
+                _millimetres(found["p95_of_max_mm"]),
+                str(found["questions"]),
+                f"{found['seconds']:.0f}",
+            )
+        )
+    return rows_table(_HEADS, rows)
+
+
+def _millimetres(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}"
+
+
+def write_page(results: Sequence[Mapping[str, Any]], page: Path = PAGE) -> None:
+    """Write both tasks' tables into the page."""
+    text = page.read_text(encoding="utf-8")
+    for task in TASKS:
+        text = replaced(text, f"parts, {task}", table([result for result in results if result["task"] == task]))
+    write_text(page, text)
+
+
+def work() -> int:
+    """Measure what is missing, in the order of the tasks, and write the page after each."""
+    os.chdir(Path(__file__).resolve().parents[1])
+    results: list[dict[str, Any]] = read_json(RESULTS, "the results of `make parts`") if RESULTS.exists() else []
+    for task in TASKS:
+        for part in PARTS:
+            if any((result["task"], result["part"]) == (task, part.name) for result in results):
+                continue
+            results.append(measured(task, part))
+            RESULTS.parent.mkdir(exist_ok=True)
+            write_json(RESULTS, results)
+            write_page(results)
+            console.note(f"{task}: {part.about}: success {results[-1]['success_rate']:.0%}")
+    write_page(results)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(guard(work, debug=False))
