@@ -299,6 +299,7 @@ def test_a_damaged_checkpoint_is_not_gone_on_from_and_nothing_is_touched(
     [
         ("[", "cannot be read"),
         ("a: 1", "must be a list of overrides, found {'a': 1}"),
+        ("", "must hold what it was begun with, found it stopped before it had begun"),
         ("- 5", "must be a list of overrides, found [5]"),
         ("- seed", "must be a list of overrides, found ['seed']"),
         ("- command=demo", "must name a run of 'train', found one of 'demo'"),

@@ -37,7 +37,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.CompletedProcess[str]:
-    """Run in a process of its own and send it a signal as soon as the file ``when`` is there."""
+    """Run in a process of its own and send it a signal as soon as something stands in the file ``when``."""
     checkout = str(Path(cli.__file__).resolve().parent.parent)
     path = os.pathsep.join(filter(None, [checkout, os.environ.get("PYTHONPATH")]))
     process = subprocess.Popen(
@@ -48,7 +48,7 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
         env={**os.environ, "PYTHONPATH": path},
     )
     try:
-        while process.poll() is None and not list(folder.glob(when)):
+        while process.poll() is None and not any(path.stat().st_size for path in folder.glob(when)):
             time.sleep(0.005)
         process.send_signal(number)
         out, err = process.communicate(timeout=60)

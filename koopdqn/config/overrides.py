@@ -201,6 +201,8 @@ def _recorded(folder: str, command: str) -> list[str]:
     record = path / _RECORD
     if not record.is_file():
         raise BadInputError(f"run: must name the folder of {what}, found no {_RECORD} in {folder!r}")
+    if not record.stat().st_size:
+        raise BadInputError(f"run: {folder!r} must hold what it was begun with, found it stopped before it had begun")
     try:
         content = OmegaConf.to_container(OmegaConf.load(record), resolve=False)
     # the file may hold anything, and the YAML parser has errors of its own
