@@ -245,3 +245,24 @@ def test_motion_is_drawn_with_its_paths_in_the_colours_of_the_plots(
     drawn = np.abs(blue - orange).max(axis=2) > 40
     assert drawn.sum() > 30
     assert np.all((blue - orange)[drawn][:, 2] > 0)
+
+
+@pytest.mark.parametrize(
+    ("extent", "planes"),
+    [
+        ((0.3, 0.2, 0.1), ("top", "side")),
+        ((0.1, 0.3, 0.2), ("top", "side")),
+        ((0.0, 0.2, 0.2), ("side", "front")),
+        ((0.01, 0.3, 0.2), ("top", "front")),
+        ((0.01, 0.2, 0.3), ("side", "front")),
+        ((0.3, 0.2, 0.0), ("top", "side")),
+        ((0.0, 0.0, 0.3), ("top", "side")),
+    ],
+)
+def test_no_path_is_shown_edge_on_where_the_front_shows_more(
+    extent: tuple[float, float, float], planes: tuple[str, str]
+) -> None:
+    from koopdqn.plots.style import two_planes
+
+    paths = [np.zeros((1, 3)), np.array([extent])]
+    assert two_planes(paths) == planes

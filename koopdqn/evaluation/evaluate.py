@@ -162,7 +162,7 @@ def holdout_table(report: dict[str, Any]) -> "Table":
     holdout = report["holdout"]
     found = Table(
         title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
-        caption="Hausdorff: the farthest from the held-out demonstration, median and largest",
+        caption="Hausdorff [mm]: the farthest from the held-out demonstration, median and largest",
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
@@ -173,7 +173,7 @@ def holdout_table(report: dict[str, Any]) -> "Table":
     for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
         success, *rest = _cells(method)
         apart = np.array(holdout["hausdorff_mm"][name])
-        found.add_row(name.replace("_", " "), success, f"{np.median(apart):.1f} / {apart.max():.1f} mm", *rest)
+        found.add_row(name.replace("_", " "), success, f"{np.median(apart):.1f} / {apart.max():.1f}", *rest)
     return found
 
 

@@ -10,13 +10,14 @@ from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.plots.style import (
     MEANT,
-    PLANES,
+    VIEWS,
     Image,
     frame_projection,
     picture,
     project,
     series_colours,
     show_image,
+    two_planes,
 )
 from koopdqn.pose import Array
 from koopdqn.tasks.path import arc_lengths
@@ -54,10 +55,10 @@ def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, 
                 figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; demonstrated paths"
             )
         axes = [figure.add_subplot(cell) for cell in (places[0], places[1])]
-        for plane, each in zip(PLANES, axes, strict=True):
+        planes = two_planes([item.poses[:, pose.POSITION] for item in demonstrations.items])
+        for plane, each in zip(planes, axes, strict=True):
             _projection(each, plane, demonstrations, task)
-        axes[0].set_title("From above")
-        axes[1].set_title("From the side")
+            each.set_title(f"From {VIEWS[plane]}")
         stack = right.subgridspec(4, 1)
         rows = [figure.add_subplot(stack[0])]
         rows += [figure.add_subplot(stack[i], sharex=rows[0]) for i in range(1, 4)]

@@ -18,11 +18,13 @@ from koopdqn.plots.style import (
     LEARNED,
     MEANT,
     RED,
+    VIEWS,
     Image,
     frame_projection,
     picture,
     project,
     show_image,
+    two_planes,
 )
 from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, Episode
@@ -79,10 +81,11 @@ def plot_evaluation(
         views = [figure.add_subplot(below[i]) for i in range(2)]
         aside = report.get("holdout") is not None
         _deviation(figure.add_subplot(curves), episodes if compared is None else compared, references, aside)
-        for axes, (plane, view) in zip(views, (("top", "above"), ("side", "the side")), strict=True):
+        planes = two_planes([item.poses[:, pose.POSITION] for item in demonstrations.items])
+        for axes, plane in zip(views, planes, strict=True):
             shown = [*(compared or ()), *episodes] if aside else episodes
             _projection(axes, plane, shown, references, demonstrations, task, aside)
-            axes.set_title(f"Learned and demonstrated paths, from {view}")
+            axes.set_title(f"Learned and demonstrated paths, from {VIEWS[plane]}")
         pair = bars.subgridspec(1, 2)
         success = figure.add_subplot(pair[0])
         _comparison(success, figure.add_subplot(pair[1], sharey=success), report)

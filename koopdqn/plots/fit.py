@@ -27,9 +27,11 @@ from koopdqn.plots.style import (
     RED,
     SKY,
     TRUST,
+    VIEWS,
     frame_projection,
     picture,
     project,
+    two_planes,
 )
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
@@ -76,12 +78,13 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
         rollouts = _roll_outs(fitted, trajectories, task)
-        for place, plane, view in ((grid[row, :2], "top", "above"), (grid[row, 2:4], "side", "the side")):
+        planes = two_planes([trajectory[:, pose.POSITION] for trajectory in trajectories])
+        for place, plane in zip((grid[row, :2], grid[row, 2:4]), planes, strict=True):
             axes = figure.add_subplot(place)
             corners = _tube(axes, fitted.trust, plane)
             _paths(axes, plane, trajectories, rollouts, corners, task)
-            axes.set_title(f"Rolled out from each start, from {view}")
-            if plane == "top":
+            axes.set_title(f"Rolled out from each start, from {VIEWS[plane]}")
+            if plane == planes[0]:
                 _tube_legend(axes, fitted.trust)
         if not measured:
             return

@@ -126,8 +126,23 @@ def show_image(axes: Axes, image: Image, title: str) -> None:
         spine.set_color(PALE)
 
 
-PLANES: Final = {"top": (0, 1), "side": (0, 2)}
-"""The two coordinates that each projection shows: from above x and y, from the side x and z."""
+PLANES: Final = {"top": (0, 1), "side": (0, 2), "front": (1, 2)}
+"""The two coordinates that each projection shows: from above x and y, from the side x and z, from the front y and z."""
+VIEWS: Final = {"top": "above", "side": "the side", "front": "the front"}
+"""From where each projection looks."""
+# The front takes the place of a view that shows less than this share of what it shows.
+_EDGE_ON = 0.25
+
+
+def two_planes(paths: Sequence[Array]) -> tuple[str, str]:
+    """Return which two projections show paths (N, 3) [m]: from above and the side, unless one sees them edge-on."""
+    positions = np.concatenate([*paths])
+    extent = positions.max(axis=0) - positions.min(axis=0)
+    area = {plane: float(extent[i] * extent[j]) for plane, (i, j) in PLANES.items()}
+    least = min(("top", "side"), key=lambda plane: area[plane])
+    if area[least] >= _EDGE_ON * area["front"]:
+        return "top", "side"
+    return ("side" if least == "top" else "top"), "front"
 
 
 def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Array]) -> None:

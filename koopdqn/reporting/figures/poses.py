@@ -11,7 +11,18 @@ from matplotlib.patches import Patch
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import BadInputError
-from koopdqn.plots.style import DEMONSTRATED, GREY, INK, PLANES, frame_projection, picture, project, rgba, show_image
+from koopdqn.plots.style import (
+    DEMONSTRATED,
+    GREY,
+    INK,
+    VIEWS,
+    frame_projection,
+    picture,
+    project,
+    rgba,
+    show_image,
+    two_planes,
+)
 from koopdqn.pose import Array
 from koopdqn.robot.camera import Camera, Ghost, Line, Sphere
 from koopdqn.robot.scene import Scene
@@ -72,14 +83,15 @@ def plot_poses(path: Path, scene: Scene, shown: Demonstration, view: View, title
 
 
 def plot_paths(path: Path, items: Sequence[Demonstration], task: Task, shown: int) -> None:
-    """Draw the same demonstration from above and from the side with axes in metres, over the others.
+    """Draw the same demonstration in two projections with axes in metres, over the others.
 
     Raises:
         BadInputError: the file cannot be written.
     """
     with picture(path, "The same path in the base frame", WIDTH, HEIGHT) as figure:
         stack = figure.subplots(2, 1, height_ratios=(1.8, 1))
-        for axes, plane in zip(stack, PLANES, strict=True):
+        planes = two_planes([item.poses[:, pose.POSITION] for item in items])
+        for axes, plane in zip(stack, planes, strict=True):
             for index, item in enumerate(items):
                 if index != shown:
                     label = "other demonstrations" if index == (1 if shown == 0 else 0) else None
@@ -89,7 +101,7 @@ def plot_paths(path: Path, items: Sequence[Demonstration], task: Task, shown: in
             stops = poses[_stops(items[shown])]
             axes.plot(*project(stops, plane), color=INK, marker="o", linestyle="", markersize=5, label="poses drawn")
             frame_projection(axes, plane, task, [item.poses[:, pose.POSITION] for item in items])
-            axes.set_title("From above" if plane == "top" else "From the side")
+            axes.set_title(f"From {VIEWS[plane]}")
         handles, labels = stack[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3)
 
