@@ -55,7 +55,7 @@ bench: $(STAMP) ## Measure speed on this machine
 ablations: $(STAMP) ## Measure what each idea adds, on TASKS; takes about half an hour a task, goes on where it stopped
 	$(BIN)/python scripts/ablations.py --tasks $(TASKS)
 
-parts: $(STAMP) ## Measure what each part of the DQN does, seed 0 of both tasks; goes on where it stopped
+parts: $(STAMP) ## Measure what each part of the DQN does, two seeds; goes on where it stopped
 	$(BIN)/python scripts/dqn_parts.py
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped

@@ -23,6 +23,7 @@ from dqn_variants import DEFAULT, PARTS, AnswersOftenReplay, DuelingNetwork, Par
 
 RESULT = {
     "task": "shelf",
+    "seed": 0,
     "part": DEFAULT,
     "learned": True,
     "updates": 1800,
@@ -95,8 +96,15 @@ def test_the_table_says_what_was_found_and_leaves_out_what_was_not() -> None:
     assert len(lines) == 4
 
 
-def test_the_page_has_a_place_for_both_tasks(tmp_path: Path) -> None:
+def test_the_page_has_a_place_for_every_case(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text((dqn_parts.PAGE.resolve()).read_text(encoding="utf-8"), encoding="utf-8")
-    dqn_parts.write_page([RESULT, {**RESULT, "task": "knife", "questions": 777}], page)
-    assert "| 777 |" in page.read_text(encoding="utf-8").partition("begin: parts, knife")[2]
+    results = [
+        {**RESULT, "task": task, "seed": seed, "questions": 777 + case}
+        for case, (task, seed) in enumerate(dqn_parts.CASES)
+    ]
+    dqn_parts.write_page(results, page)
+    written = page.read_text(encoding="utf-8")
+    for case, (task, seed) in enumerate(dqn_parts.CASES):
+        section = written.partition(f"begin: parts, {task} {seed} -->")[2].partition("end: parts")[0]
+        assert f"| {777 + case} |" in section
