@@ -3,6 +3,7 @@ import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import pytest
 from report_runs import first, knife_parts, write_evaluation, write_run
@@ -105,7 +106,7 @@ def test_every_link_of_the_page_leads_to_a_file(built: Built) -> None:
     links = set(re.findall(r'href="([^#"][^"]*)"', text))
     assert len(links) > 8
     for link in links:
-        assert (where / link).exists(), link
+        assert (where / unquote(link)).exists(), link
     assert text.count("data:image/png;base64,") == sum(len(figure["files"]) for figure in content["figures"])
 
 
