@@ -16,7 +16,7 @@ class Workcell:
         task: what is to be done.
         arm: which arm does it.
         scene: the compiled MuJoCo scene.
-        reachability: the arm moved kinematically in the scene.
+        reachability: the arm moved kinematically in the scene, beginning nearest to how it takes the nominal start.
     """
 
     task: Task
@@ -32,6 +32,7 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
         BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
     """
     scene = build_scene(task, arm)
-    reachability = Reachability(arm, scene, arm.step_seconds)
-    reachability.check(task)
-    return Workcell(task, arm, scene, reachability)
+    from_home = Reachability(arm, scene, arm.step_seconds)
+    from_home.check(task)
+    posture = from_home.enter(task.nominal_start).joints
+    return Workcell(task, arm, scene, Reachability(arm, scene, arm.step_seconds, posture))

@@ -58,7 +58,6 @@ class Derivation(TaskChoice):
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: Positive
     pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the law looks along a demonstration [m]")
-    modelled_pull_back_m: float = Field(ge=1e-3, le=1.0, description="the same of the model's made-up states [m]")
     centring: Fraction = Field(
         description="how much, among right actions, coming nearer to the demonstrated path counts"
     )
@@ -151,7 +150,6 @@ class Derivation(TaskChoice):
             goal_tolerance_m=self.goal_tolerance_m,
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
             pull_back_m=self.pull_back_m,
-            modelled_pull_back_m=self.modelled_pull_back_m,
             centring=self.centring,
             centring_path=self.centring_path,
             lead_back_m=self.lead_back_m,

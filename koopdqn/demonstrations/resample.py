@@ -1,5 +1,6 @@
 """Resampling a demonstration to the agent's step, or to a number of samples."""
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -76,9 +77,17 @@ def mean_path(trajectories: list[Array]) -> SmoothPath:
 
 
 def shown_paths(trajectories: list[Array], which: Literal["mean", "nearest"]) -> PathSet:
-    """Return the mean path of pose trajectories (N, 7), or all of them, of which the nearest is the one that counts."""
+    """Return the mean path of pose trajectories (N, 7), or all of them, of which the nearest is the one that counts.
+
+    The mean path's spread is the root mean square distance from it of the trajectories, at the same share of path
+    travelled; each trajectory alone has none.
+    """
     if which == "mean":
-        return PathSet((mean_path(trajectories),))
+        path = mean_path(trajectories)
+        mean = PathSet((path,))
+        aligned = (to_count(trajectory, len(path.points))[:, pose.POSITION] for trajectory in trajectories)
+        squared = [mean.distance(positions) ** 2 for positions in aligned]
+        return replace(mean, spread=np.sqrt(np.mean(squared, axis=0)))
     return PathSet(tuple(SmoothPath.along(trajectory[:, pose.POSITION]) for trajectory in trajectories))
 
 

@@ -40,13 +40,15 @@ class Reachability:
         arm: the arm.
         scene: the scene.
         step_seconds: how long one step takes [s]; with the arm's velocity limits it bounds a step's joint motion.
+        posture: joint angles (6,) [rad] that motions begin nearest to, of the many that take a pose.
     """
 
-    def __init__(self, arm: Arm, scene: Scene, step_seconds: float) -> None:
-        """Prepare for an arm in a scene whose every step takes ``step_seconds`` [s]."""
+    def __init__(self, arm: Arm, scene: Scene, step_seconds: float, posture: Array | None = None) -> None:
+        """Prepare for an arm in a scene whose every step takes ``step_seconds`` [s]; the posture is home if None."""
         self.arm = arm
         self.scene = scene
         self.step_seconds = step_seconds
+        self.posture = np.array(arm.home) if posture is None else posture.copy()
         self._largest_step = np.array(arm.velocity_limits) * step_seconds
 
     def move(self, pose: Array, joints: Array) -> Motion:
@@ -67,18 +69,26 @@ class Reachability:
         return Motion(result.joints)
 
     def enter(self, pose: Array) -> Motion:
-        """Return the joint angles with which the arm takes a pose (7,) to begin with: of all, those nearest home."""
-        home = np.array(self.arm.home)
-        solutions = self.arm.solutions(pose, home)
+        """Return the joint angles with which the arm takes a pose (7,) to begin with: those nearest its posture.
+
+        A joint that turns more than once begins in the turn around its middle, with room to go on either way.
+        """
+        solutions = self.arm.solutions(pose, self.posture)
         if not len(solutions):
-            return Motion(None, UNREACHABLE, self.arm.inverse(pose, home).reason)
+            return Motion(None, UNREACHABLE, self.arm.inverse(pose, self.posture).reason)
         first = ""
-        for joints in sorted(solutions, key=lambda q: float(np.abs(q - home).max())):
+        for joints in solutions:
             contact = self.scene.contact(joints)
             if not contact:
-                return Motion(np.array(joints))
+                return Motion(self._with_room(joints))
             first = first or contact
         return Motion(None, COLLISION, first)
+
+    def _with_room(self, joints: Array) -> Array:
+        lower, upper = np.array(self.arm.joint_lower), np.array(self.arm.joint_upper)
+        middle = 0.5 * (lower + upper)
+        wound = middle + (joints - middle + np.pi) % (2.0 * np.pi) - np.pi
+        return np.where((wound >= lower) & (wound <= upper), wound, joints)
 
     def follow(self, poses: Array) -> tuple[Array | None, str]:
         """Return the joint angles (N, 6) [rad] along poses (N, 7), or None and the reason why there are none."""

@@ -58,7 +58,8 @@ class RewardSettings(Settings):
     centring_within_m: float = Field(
         gt=0,
         le=10,
-        description="distance from that path over which centring and leading back fade, a standard deviation [m]",
+        description="distance from that path, and distance of the demonstrations from their mean path, over which"
+        " centring and leading back fade, a standard deviation [m]",
     )
     lead_back_m: float = Field(
         ge=0,
@@ -136,19 +137,21 @@ class IntentReward:
         length = np.linalg.norm(motion, axis=1, keepdims=True)
         along = motion / np.where(length > 0, length, 1.0)
         aside = self.path.nearest(position) - position
-        near = self._nearness(np.linalg.norm(aside, axis=1, keepdims=True))
+        near = self._nearness(position, np.linalg.norm(aside, axis=1))[:, None]
         left = pose.position_distance(poses, self.task.goal)[:, None]
         across = aside - (aside * along).sum(axis=1, keepdims=True) * along
         turned = along + near * np.minimum(1.0, left / _END_M) * across / self.settings.lead_back_m
         turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), _NO_MOTION)
         return pose.make(position + length * turned, predicted[:, pose.QUATERNION])
 
-    def _nearness(self, aside: Array) -> Array:
-        """Return from 0 to 1 how much the path counts, distances (N, 1) from it.
+    def _nearness(self, positions: Array, aside: Array) -> Array:
+        """Return from 0 to 1 how much the path counts at positions (N, 3) that are ``aside`` (N,) of it.
 
-        It counts nearby only: from afar a person comes back to it in a way of their own.
+        It counts nearby only, since from afar a person comes back to it in a way of their own, and only where the
+        demonstrations agree: while they still come together, their mean is nobody's path.
         """
-        return np.asarray(np.exp(-0.5 * (aside / self.settings.centring_within_m) ** 2))
+        squared = aside**2 + self.path.spread_at(positions) ** 2
+        return np.asarray(np.exp(-0.5 * squared / self.settings.centring_within_m**2))
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array) -> "IntentReward":
         """Return the reward function with a model and a trust domain extended by answers.
@@ -193,10 +196,11 @@ class IntentReward:
 
     def _centring(self, poses: Array, reached: Array) -> tuple[Array, Array]:
         """Return how much coming nearer to the path counts (N, 1), and how much nearer each comes (N, 10): 0 to 1."""
-        aside = self.path.distance(poses[:, pose.POSITION])[:, None]
+        position = poses[:, pose.POSITION]
+        aside = self.path.distance(position)
         after = self.path.distance(reached[..., pose.POSITION].reshape(-1, 3)).reshape(reached.shape[:2])
-        share = self.settings.centring * self._nearness(aside)
-        return share, 0.5 + 0.5 * np.clip((aside - after) / self.task.step_m, -1.0, 1.0)
+        share = self.settings.centring * self._nearness(position, aside)
+        return share[:, None], 0.5 + 0.5 * np.clip((aside[:, None] - after) / self.task.step_m, -1.0, 1.0)
 
     def _certain(self, margin: Array) -> np.ndarray:
         # A comparison that a small error of the model would turn over is no knowledge; but some action is

@@ -71,9 +71,12 @@ class PathSet:
 
     Attributes:
         paths: the curves, at least one.
+        spread: (P,) how far what each of their points stands for lies apart [m], one curve's points after another's;
+            None for nothing.
     """
 
     paths: tuple[SmoothPath, ...]
+    spread: Array | None = None
 
     def distance(self, positions: ArrayLike) -> Array:
         """Return the distance (N,) [m] of positions (N, 3) [m] from the nearest point of any of the curves."""
@@ -84,6 +87,11 @@ class PathSet:
         """Return the point (N, 3) [m] of any of the curves that is nearest to each position (N, 3) [m]."""
         _, index = self._tree.query(np.asarray(positions, dtype=float))
         return np.asarray(self._tree.data[index])
+
+    def spread_at(self, positions: ArrayLike) -> Array:
+        """Return the spread (N,) [m] at the point of any of the curves that is nearest to each position (N, 3) [m]."""
+        _, index = self._tree.query(np.asarray(positions, dtype=float))
+        return np.zeros(len(index)) if self.spread is None else self.spread[index]
 
     @cached_property
     def _tree(self) -> "KDTree":

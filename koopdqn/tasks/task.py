@@ -61,9 +61,10 @@ class Task(TaskChoice):
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: float = Field(gt=0, description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: float = Field(gt=0)
-    pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the demonstrator looks along its path [m]")
-    modelled_pull_back_m: float = Field(
-        ge=1e-3, le=1.0, description="the same of the intent model's made-up states, shorter against drift [m]"
+    pull_back_m: float = Field(
+        ge=1e-3,
+        le=1.0,
+        description="how far ahead the demonstrator looks along its path, and the intent model's made-up states [m]",
     )
     centring: float = Field(
         ge=0,
