@@ -20,7 +20,7 @@ from typing import Any, Final
 import measured_runs
 from imitate import IMITATION
 from measured_runs import Command, Launch, Training
-from study_lines import BASELINES, DEFAULT, LINES, SEEDS, Line
+from study_lines import LINES, SEEDS, Line
 from study_tables import PaperRun, Result, least_check, with_tables
 
 from koopdqn import console
@@ -34,7 +34,6 @@ PAGE: Final = Path("docs") / "study.md"
 PAPER_RUNS: Final = Path("docs") / "paper_runs.json"
 
 TASKS: Final = ("shelf", "knife")
-EVALUATION: Final = ("eval.dynamics=false", "eval.baselines=false")
 _IMITATE: Final = "imitate"
 _NONE: Final = {"trusted": None, "remembered": None}
 
@@ -83,11 +82,11 @@ class Run:
         inputs = [f"run={self.training.folder}", f"out={measured}"]
         if self.line.method:
             return [*left, (_IMITATE, [self.line.method, *inputs])]
-        changed = {item.partition("=")[0]: item for item in (*EVALUATION, *self.line.evaluation)}
-        return [*left, ("eval", [*inputs, *changed.values()])]
+        beside = f"eval.baselines={str(bool(self.line.baselines)).lower()}"
+        return [*left, ("eval", [*inputs, "eval.dynamics=false", beside, *self.line.evaluation])]
 
     def results(self) -> list[Result]:
-        """Return the line's result, and with the default those of the baselines; none if the run is not finished."""
+        """Return the line's result and those of the baselines below it; none if the run is not finished."""
         if self.commands():
             return []
         evaluation = read_json(self.folder / "eval" / "eval.json", "the evaluation report")
@@ -98,8 +97,8 @@ class Run:
         trained = read_json(self.training.folder / "train.json", "the training report")
         results = [self._result(self.line.name, evaluation, trained, least_check(trained))]
         nothing = {**trained, "learned": None, "oracle_queries": 0, "reward_agreement": _NONE, "seconds": None}
-        for name in BASELINES if self.line.name == DEFAULT else ():
-            results.append(self._result(name, evaluation["baselines"][name], nothing, None))
+        for name in self.line.baselines:
+            results.append(self._result(self.line.named(name), evaluation["baselines"][name], nothing, None))
         return results
 
     def _result(

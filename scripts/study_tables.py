@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from ablation_tables import Format, shown
 from pydantic import Field
-from study_lines import BASELINES, DEFAULT, LINES, PAPER, Line
+from study_lines import LINES, PAPER, Line
 
 from docs import replaced, rows_table
 from koopdqn.config.settings import Fraction, NonNegative, NonNegativeInt, Settings
@@ -87,19 +87,19 @@ def least_check(report: Mapping[str, Any]) -> float | None:
 
 
 def table(results: Sequence[Result], paper: PaperRun | None, lines: Sequence[Line] = LINES) -> str:
-    """Return the Markdown table of one task's results, in the order of the lines, baselines after the default."""
+    """Return the Markdown table of one task's results, in the order of the lines, each with its baselines below."""
     rows = []
     for line in lines:
         rows += _row(line.about, _config(line), [result for result in results if result.line == line.name])
-        if line.name == DEFAULT:
-            for name, about in BASELINES.items():
-                rows += _row(about, "", [result for result in results if result.line == name])
+        for name, about in line.baselines.items():
+            evaluation = " ".join(f"`{item}`" for item in line.evaluation)
+            rows += _row(about, evaluation, [result for result in results if result.line == line.named(name)])
     rows.append(_paper_row(paper))
     return rows_table(HEADS, rows)
 
 
 def _config(line: Line) -> str:
-    return " ".join(f"`{item}`" for item in (*line.overrides, *line.evaluation) if item != "eval.baselines=true")
+    return " ".join(f"`{item}`" for item in (*line.overrides, *line.evaluation))
 
 
 def _row(about: str, config: str, results: Sequence[Result]) -> list[list[str]]:

@@ -51,10 +51,10 @@ class AgentSettings(Settings):
         description="share of those that begin in the start region; the others begin along a demonstration"
     )
     exploring_scale: float = Field(
-        ge=1, le=10, description="how many times wider than the start region those may begin"
+        ge=1, le=10, description="how many times wider than the start region all but the latter may begin"
     )
     exploring_spread_m: float = Field(
-        gt=0, le=0.5, description="how far beside it they begin, a standard deviation [m]"
+        gt=0, le=0.5, description="how far beside it the latter begin, a standard deviation [m]"
     )
     exploring_steps: int = Field(ge=1, le=1_000_000, description="steps after which such an episode is cut")
 

@@ -95,9 +95,9 @@ class StartSampler:
         reachability: refuses what the arm cannot take.
         trajectories: demonstrated poses (N, 7) at the agent's step.
         share: share of exploring starts.
-        region_share: share of the exploring starts that lie in and around the start region.
-        region_scale: how many times wider than the start region they may lie.
-        spread: standard deviation of their offset [m].
+        region_share: share of the exploring starts that lie in and around the start region, as all others do.
+        region_scale: how many times wider than the start region those may lie.
+        spread: standard deviation of the other starts' offset from a demonstration [m].
         exploring_steps: step limit of exploring episodes.
         step_limit: step limit of the others.
         refused: how many draws were drawn again.
@@ -120,10 +120,8 @@ class StartSampler:
         if batch.exploring[index] and rng.random() >= self.region_share:
             pose, motion = self._along_demonstration(rng)
         else:
-            region = self.task
-            if batch.exploring[index]:
-                # Draws shrink toward the region's middle, so that the region itself is seen most.
-                region = self.task.with_starts_scaled(1.0 + (self.region_scale - 1.0) * float(rng.random()))
+            # Draws shrink toward the region's middle, so that the region itself is seen most.
+            region = self.task.with_starts_scaled(1.0 + (self.region_scale - 1.0) * float(rng.random()))
             poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
             self.refused += refused
             pose, motion = poses[0], Motion(joints[0])
