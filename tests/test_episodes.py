@@ -11,6 +11,10 @@ def sampler(workcell: Workcell, trajectories: list[Array], share: float, region:
     return StartSampler(workcell.task, workcell.reachability, trajectories, share, region, 1.0, 0.008, 40, 750)
 
 
+def wide(workcell: Workcell, trajectories: list[Array], share: float, scale: float) -> StartSampler:
+    return StartSampler(workcell.task, workcell.reachability, trajectories, share, 1.0, scale, 0.008, 40, 750)
+
+
 def begun(starts: StartSampler, count: int, seed: int = 0) -> EpisodeBatch:
     batch, rng = EpisodeBatch.empty(count), np.random.default_rng(seed)
     for index in range(count):
@@ -43,6 +47,20 @@ def test_shares_of_starts_are_as_said(workcell: Workcell, trajectories: list[Arr
     batch = begun(sampler(workcell, trajectories, 0.5, 1.0), 300)
     assert 0.4 < batch.exploring.mean() < 0.6
     assert in_region(workcell, batch.poses).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_starts_of_the_region_lie_up_to_so_many_times_wider_and_most_often_within_it(
+    workcell: Workcell, trajectories: list[Array], share: float
+) -> None:
+    batch = begun(wide(workcell, trajectories, share, 3.0), 300)
+    offset = np.abs(batch.poses[:, :3] - workcell.task.nominal_start[:3])
+    times = (offset / np.array(workcell.task.start_half_range_m)).max(axis=1)
+    assert 2.0 < times.max() <= 3.0
+    within = [float(((times >= low) & (times < low + 1.0)).mean()) for low in (0.0, 1.0, 2.0)]
+    assert within[0] > 0.15
+    # Evenly drawn in the widest region, a start would lie in the innermost one once in 27 times.
+    assert min(within) > 0.1
 
 
 def test_every_start_is_one_the_arm_can_take_and_no_goal(workcell: Workcell, trajectories: list[Array]) -> None:

@@ -61,7 +61,29 @@ def test_entering_takes_the_free_solution_nearest_home(workcell: Workcell) -> No
     chosen = entered(workcell, start)
     free = [q for q in workcell.arm.solutions(start, home) if not workcell.scene.contact(q)]
     assert len(free) > 1
-    assert np.abs(chosen - home).max() == min(np.abs(q - home).max() for q in free)
+    assert np.abs(chosen - home).max() == pytest.approx(min(np.abs(q - home).max() for q in free), abs=1e-12)
+
+
+def test_entering_takes_the_free_solution_nearest_the_posture_but_with_room_to_turn(workcell: Workcell) -> None:
+    """Of the solutions nearest to a posture wound up to a limit it takes the one that is not wound up."""
+    start = workcell.task.nominal_start
+    unwound = entered(workcell, start)
+    for joint, turns in ((0, -1), (3, 1), (5, 1)):
+        posture = unwound.copy()
+        posture[joint] += turns * 2.0 * np.pi
+        assert np.any(np.abs(posture) > np.pi)
+        wound = Reachability(workcell.arm, workcell.scene, workcell.arm.step_seconds, posture)
+        joints = wound.enter(start).joints
+        assert joints is not None
+        np.testing.assert_allclose(joints, unwound, atol=1e-9)
+        assert np.all(np.abs(joints) <= np.pi)
+
+
+def test_every_start_of_the_region_is_entered_in_the_nominal_one_s_posture(workcell: Workcell) -> None:
+    nominal = entered(workcell, workcell.task.nominal_start)
+    np.testing.assert_allclose(workcell.reachability.posture, nominal, atol=1e-12)
+    _, joints, _ = workcell.reachability.draw_starts(workcell.task, np.random.default_rng(0), 40)
+    assert np.abs(joints - nominal).max() < np.radians(30.0)
 
 
 def test_following_is_entering_and_moving(workcell: Workcell) -> None:

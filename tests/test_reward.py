@@ -11,6 +11,7 @@ from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
+from koopdqn.tasks.path import PathSet
 
 SIGN = RewardSettings(
     shape="sign",
@@ -45,8 +46,8 @@ def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Ar
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
     poses, steps = beside(trajectories, seed, 20, spread)
     for prediction in ("raw", "rescaled"):
-        fields = {"shape": "sign", "prediction": prediction, "doubt": 0.0, "centring": 0.0, "goal": 0.0}
-        judged = reward_with(reward, **fields).judge(poses, steps)
+        fields = {"prediction": prediction, "centring_within_m": reward.settings.centring_within_m}
+        judged = reward_with(reward, **{**SIGN.model_dump(), **fields}).judge(poses, steps)
         wished = (
             reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
         )
@@ -220,8 +221,9 @@ def test_near_the_mean_path_a_right_action_that_comes_nearer_to_it_gets_more(
 
 def test_far_from_the_mean_path_centring_vanishes(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 5, 200, 0.01)
-    plain = reward_with(reward, centring=0.0, goal=0.0).judge(poses, steps).reward
-    narrow = reward_with(reward, centring=0.9, centring_within_m=0.002, goal=0.0).judge(poses, steps).reward
+    plain = reward_with(reward, centring=0.0, lead_back_m=0.0, goal=0.0).judge(poses, steps).reward
+    changes = {"centring": 0.9, "centring_within_m": 0.002, "lead_back_m": 0.0, "goal": 0.0}
+    narrow = reward_with(reward, **changes).judge(poses, steps).reward
     far = reward.path.distance(poses[:, :3]) > 0.016
     assert 20 < far.sum() < len(poses)
     np.testing.assert_allclose(narrow[far], plain[far], atol=1e-12)
@@ -258,7 +260,7 @@ def test_so_far_from_the_path_as_it_says_it_leads_back_at_45_degrees(
     beside_it = pose.make(position + 0.004 * across / np.linalg.norm(across), start[3:])[None]
     nearest = reward.path.nearest(beside_it[:, :3])[0] - beside_it[0, :3]
     settings = {"lead_back_m": float(np.linalg.norm(nearest)), "centring_within_m": 10.0}
-    plain = reward.predicted(beside_it)[0, :3] - beside_it[0, :3]
+    plain = reward_with(reward, lead_back_m=0.0).predicted(beside_it)[0, :3] - beside_it[0, :3]
     led = reward_with(reward, **settings).predicted(beside_it)[0, :3] - beside_it[0, :3]
     along = plain / np.linalg.norm(plain)
     across = nearest - (nearest @ along) * along
@@ -268,11 +270,27 @@ def test_so_far_from_the_path_as_it_says_it_leads_back_at_45_degrees(
     assert lean > 0.9
 
 
+def test_where_the_demonstrations_disagree_their_mean_neither_centres_nor_leads_back(
+    reward: IntentReward, trajectories: list[Array]
+) -> None:
+    poses, steps = beside(trajectories, 6, 200, 0.004)
+    changes = {"lead_back_m": 0.005, "centring": 0.9, "goal": 0.0}
+    plain = reward_with(reward, **{**changes, "lead_back_m": 0.0, "centring": 0.0})
+    led = reward_with(reward, **changes)
+    for apart, counts in ((0.0, True), (1.0, False)):
+        path = PathSet(led.path.paths, np.full(len(led.path.paths[0].points), apart))
+        found = IntentReward(led.task, led.model, led.trust, led.settings, path)
+        same = np.allclose(found.predicted(poses), plain.predicted(poses), atol=1e-12)
+        same = same and np.allclose(found.judge(poses, steps).reward, plain.judge(poses, steps).reward, atol=1e-12)
+        assert same != counts
+
+
 def test_far_from_the_path_and_at_the_goal_nothing_leads_back(reward: IntentReward, trajectories: list[Array]) -> None:
     led = reward_with(reward, lead_back_m=0.005, centring_within_m=0.002)
     poses, _ = beside(trajectories, 5, 200, 0.01)
     far = reward.path.distance(poses[:, :3]) > 0.016
     assert far.sum() > 20
-    np.testing.assert_allclose(led.predicted(poses)[far], reward.predicted(poses)[far], atol=1e-12)
+    plain = reward_with(reward, lead_back_m=0.0)
+    np.testing.assert_allclose(led.predicted(poses)[far], plain.predicted(poses)[far], atol=1e-12)
     goal = reward.task.goal[None]
-    np.testing.assert_array_equal(led.predicted(goal), reward.predicted(goal))
+    np.testing.assert_array_equal(led.predicted(goal), plain.predicted(goal))

@@ -20,10 +20,11 @@ import study
 from imitate import IMITATION, METHODS
 from measured_runs import carry_out
 from study import Run
-from study_lines import BASELINES, DEFAULT, LINES, SEEDS, Line
+from study_lines import DEFAULT, LINES, SEEDS, Line
 from study_tables import PaperRun, Result, least_check, table, with_tables
 
 LINE = {line.name: line for line in LINES}
+MEASURED = ("straight_line", "greedy", "nearest_demonstration")
 SHA = "0" * 64
 RESULT = Result(
     task="shelf",
@@ -74,7 +75,7 @@ class Launcher:
             "path_deviation_mm": {"mean": 5.0, "p95_of_max": 14.0},
             "failures": {"collision": 10, "stuck": 0},
         }
-        baselines = dict.fromkeys(BASELINES, method) if given.get("eval.baselines") == "true" else None
+        baselines = dict.fromkeys(MEASURED, method) if given.get("eval.baselines") == "true" else None
         if command == "imitate":
             write(folder / IMITATION, {"seconds": 3.0, "made_from": self._made_from})
         write(folder / "eval.json", {**method, "baselines": baselines})
@@ -94,7 +95,9 @@ class Launcher:
 
 def test_lines_have_names_of_their_own_and_those_without_a_training_name_one() -> None:
     assert len(LINE) == len(LINES)
-    assert not set(LINE) & set(BASELINES)
+    assert all(set(line.baselines) <= set(MEASURED) for line in LINES)
+    names = [name for line in LINES for name in (line.name, *map(line.named, line.baselines))]
+    assert len(set(names)) == len(names)
     for line in LINES:
         assert set(line.seeds) <= set(SEEDS)
         assert bool(line.of) == (bool(line.method) or (not line.overrides and line.name != DEFAULT))
@@ -143,14 +146,19 @@ def test_lines_of_the_default_measure_its_training_and_make_it_if_it_is_missing(
     assert carry_out(default, launcher) == ""
     assert [command for command, _ in launcher.calls][2:] == ["eval"]
     assert f"run={default.folder / 'train'}" in launcher.calls[1][1]
-    assert [result.demonstrations for result in run.results()] == [SHA]
+    assert {result.demonstrations for result in run.results()} == {SHA}
 
 
-def test_the_baselines_are_measured_with_the_default(tmp_path: Path) -> None:
-    run, launcher = Run("shelf", LINE[DEFAULT], 0, tmp_path), Launcher()
+@pytest.mark.parametrize("name", [DEFAULT, "wide"])
+def test_the_baselines_below_a_line_are_measured_with_it(tmp_path: Path, name: str) -> None:
+    line, launcher = LINE[name], Launcher()
+    run = Run("shelf", line, 0, tmp_path)
     carry_out(run, launcher)
-    assert launcher.calls[1][1][-2:] == ["eval.dynamics=false", "eval.baselines=true"]
-    assert [result.line for result in run.results()] == [DEFAULT, *BASELINES]
+    assert launcher.calls[1][1][2:] == ["eval.dynamics=false", "eval.baselines=true", *line.evaluation]
+    results = run.results()
+    assert line.baselines
+    assert [result.line for result in results] == [name, *map(line.named, line.baselines)]
+    assert [result.questions for result in results] == [7] + [0] * len(line.baselines)
 
 
 def test_a_training_that_does_not_learn_is_a_result(tmp_path: Path) -> None:
@@ -170,10 +178,10 @@ def test_the_table_grows_run_by_run_and_no_run_is_begun_after_the_time(tmp_path:
     text = page.read_text(encoding="utf-8")
     assert text.startswith("above\n")
     assert text.endswith("below\n")
-    assert all(about in text for about in (LINE[DEFAULT].about, *BASELINES.values(), "not measured"))
+    assert all(about in text for about in (LINE[DEFAULT].about, *LINE[DEFAULT].baselines.values(), "not measured"))
     assert LINE["gamma-0"].about not in text
     held = json.loads((tmp_path / "study.json").read_text(encoding="utf-8"))
-    assert [each["line"] for each in held] == [DEFAULT, *BASELINES]
+    assert [each["line"] for each in held] == [DEFAULT, *map(LINE[DEFAULT].named, LINE[DEFAULT].baselines)]
 
 
 def test_long_lines_have_fewer_seeds() -> None:
