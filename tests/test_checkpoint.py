@@ -41,6 +41,17 @@ def test_a_run_of_another_config_is_refused(tmp_path: Path) -> None:
         read_checkpoint(tmp_path, SHAPED_BY | {"seed": 1})
 
 
+def test_what_is_another_is_named_with_both_values_and_a_long_list_is_cut(tmp_path: Path) -> None:
+    began = {"agent": {"gamma": 0.5, "hidden": [128, 128], **{f"n{i}": 0 for i in range(9)}}, "made_from": "a" * 99}
+    save_checkpoint(tmp_path, _Stub(), began, 1.0)  # type: ignore[arg-type]  # only its state is used
+    with pytest.raises(BadInputError) as refused:
+        read_checkpoint(tmp_path, {**began, "agent": {**began["agent"], "gamma": 0.8, "hidden": [64]}})  # type: ignore[dict-item]
+    assert str(refused.value).endswith("found agent.gamma 0.8 instead of 0.5; agent.hidden [64] instead of [128,128]")
+    with pytest.raises(BadInputError) as refused:
+        read_checkpoint(tmp_path, {"agent": dict.fromkeys(began["agent"], 1), "made_from": "b" * 99})
+    assert str(refused.value).endswith("; agent.n1 1 instead of 0; and 8 more")
+
+
 def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
     saved(tmp_path)
     path = checkpoint_path(tmp_path)

@@ -1,14 +1,18 @@
 """Checkpoints: everything a run needs to go on, in one file that appears whole or not at all."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 from koopdqn.artifact import Artifact, read_artifact, write_artifact
 from koopdqn.errors import BadInputError
-from koopdqn.files import digest
+from koopdqn.files import canonical_json
 from koopdqn.training.trainer import Trainer
 
 KIND = "checkpoint"
+# In a message: differences named, and characters of a value.
+_SHOWN = 4
+_LONGEST = 40
 
 
 def checkpoint_path(folder: Path) -> Path:
@@ -26,7 +30,7 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
         seconds: how long the run has taken so far.
     """
     arrays, state = trainer.state()
-    about = {"shaped_by": digest(shaped_by), "state": state, "seconds": seconds}
+    about = {"shaped_by": _as_stored(shaped_by), "state": state, "seconds": seconds}
     write_artifact(checkpoint_path(folder), Artifact(KIND, arrays, about))
 
 
@@ -40,9 +44,29 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     if not path.exists():
         return None
     artifact = read_artifact(path, KIND)
-    if artifact.about["shaped_by"] != digest(shaped_by):
+    other = _differences("", artifact.about["shaped_by"], _as_stored(shaped_by))
+    if other:
+        shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
         raise BadInputError(
             f"run {folder}: can only go on with the config it began with (train.stop, train.extend and the limits may"
-            " change), found another"
+            f" change), found {shown}"
         )
     return artifact
+
+
+def _as_stored(shaped_by: dict[str, Any]) -> Any:
+    return json.loads(canonical_json(shaped_by))
+
+
+def _differences(name: str, began: Any, now: Any) -> list[str]:
+    """Return what is different in two contents of JSON, by the dotted names of their keys."""
+    if isinstance(began, dict) and isinstance(now, dict):
+        keys = dict.fromkeys([*began, *now])
+        of_keys = [_differences(f"{name}.{key}" if name else key, began.get(key), now.get(key)) for key in keys]
+        return [difference for differences in of_keys for difference in differences]
+    return [] if began == now else [f"{name or 'config'} {_brief(now)} instead of {_brief(began)}"]
+
+
+def _brief(value: Any) -> str:
+    text = canonical_json(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
