@@ -32,7 +32,7 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
         BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
     """
     scene = build_scene(task, arm)
-    from_home = Reachability(arm, scene, arm.step_seconds)
-    from_home.check(task)
-    posture = from_home.enter(task.nominal_start).joints
-    return Workcell(task, arm, scene, Reachability(arm, scene, arm.step_seconds, posture))
+    posture = Reachability(arm, scene, arm.step_seconds).enter(task.nominal_start).joints
+    reachability = Reachability(arm, scene, arm.step_seconds, posture)
+    reachability.check(task)
+    return Workcell(task, arm, scene, reachability)

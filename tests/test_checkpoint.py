@@ -47,6 +47,8 @@ def test_what_is_another_is_named_with_both_values_and_a_long_list_is_cut(tmp_pa
     with pytest.raises(BadInputError) as refused:
         read_checkpoint(tmp_path, {**began, "agent": {**began["agent"], "gamma": 0.8, "hidden": [64]}})  # type: ignore[dict-item]
     assert str(refused.value).endswith("found agent.gamma 0.8 instead of 0.5; agent.hidden [64] instead of [128,128]")
+    with pytest.raises(BadInputError, match=r"found agent.hidden.1 true instead of 128; size 1 instead of nothing$"):
+        read_checkpoint(tmp_path, {**began, "agent": {**began["agent"], "hidden": [128, True]}, "size": 1})  # type: ignore[dict-item]
     with pytest.raises(BadInputError) as refused:
         read_checkpoint(tmp_path, {"agent": dict.fromkeys(began["agent"], 1), "made_from": "b" * 99})
     assert str(refused.value).endswith("; agent.n1 1 instead of 0; and 8 more")

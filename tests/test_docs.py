@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import shlex
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -167,6 +168,15 @@ def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     success, deviation = map(float, printed[-1].split())
     assert names["evaluation"].report["success_rate"] == success
     assert names["evaluation"].report["path_deviation_mm"]["mean"] == deviation
+
+
+def test_a_config_is_composed_in_python_where_no_command_has_begun() -> None:
+    example = (
+        "from koopdqn.commands.configuration import Configuration; from koopdqn.config.compose import composed;"
+        " print(Configuration.load(composed(['task=shelf'])).task.name)"
+    )
+    done = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "shelf\n"), done.stderr
 
 
 def test_the_example_observables_fit(lab: Path, docs: ModuleType) -> None:

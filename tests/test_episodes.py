@@ -50,7 +50,7 @@ def test_shares_of_starts_are_as_said(workcell: Workcell, trajectories: list[Arr
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_starts_of_the_region_lie_up_to_so_many_times_wider_and_most_often_within_it(
+def test_starts_around_the_region_lie_up_to_so_many_times_wider_and_densest_within_it(
     workcell: Workcell, trajectories: list[Array], share: float
 ) -> None:
     batch = begun(wide(workcell, trajectories, share, 3.0), 300)

@@ -3,10 +3,12 @@ import pytest
 from parts import with_fields
 
 from koopdqn import pose
+from koopdqn.commands.configuration import Configuration
+from koopdqn.config.compose import composed
 from koopdqn.environment.reachability import COLLISION, UNREACHABLE, VELOCITY, Reachability
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.workcell import Workcell
+from koopdqn.workcell import Workcell, open_workcell
 
 
 def entered(workcell: Workcell, at: Array) -> Array:
@@ -79,11 +81,23 @@ def test_entering_takes_the_free_solution_nearest_the_posture_but_with_room_to_t
         assert np.all(np.abs(joints) <= np.pi)
 
 
-def test_every_start_of_the_region_is_entered_in_the_nominal_one_s_posture(workcell: Workcell) -> None:
-    nominal = entered(workcell, workcell.task.nominal_start)
-    np.testing.assert_allclose(workcell.reachability.posture, nominal, atol=1e-12)
-    _, joints, _ = workcell.reachability.draw_starts(workcell.task, np.random.default_rng(0), 40)
-    assert np.abs(joints - nominal).max() < np.radians(30.0)
+@pytest.fixture(scope="module")
+def knife() -> Workcell:
+    config = Configuration.load(composed(["task=knife"]))
+    return open_workcell(config.task, config.robot)
+
+
+def test_far_starts_are_entered_in_the_nominal_one_s_posture_unless_it_collides(knife: Workcell) -> None:
+    """From home every other far start of the knife would be taken in another posture."""
+    task, reachability = knife.task.with_starts_scaled(3.0), knife.reachability
+    nominal = entered(knife, knife.task.nominal_start)
+    np.testing.assert_allclose(reachability.posture, nominal, atol=1e-12)
+    from_home = Reachability(knife.arm, knife.scene, knife.arm.step_seconds)
+    starts, joints, _ = reachability.draw_starts(task, np.random.default_rng(0), 40)
+    others = np.array([from_home.enter(start).joints for start in starts])
+    near, also_from_home = (np.abs(taken - nominal).max(axis=1) < np.radians(60.0) for taken in (joints, others))
+    assert also_from_home.sum() < 25 < near.sum()
+    assert all(knife.scene.contact(knife.arm.solutions(start, nominal)[0]) for start in starts[~near])
 
 
 def test_following_is_entering_and_moving(workcell: Workcell) -> None:

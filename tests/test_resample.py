@@ -113,12 +113,12 @@ def test_the_mean_path_has_the_spread_of_what_it_is_the_mean_of(apart: float) ->
     paths = shown_paths(pair, "mean")
     assert paths.spread is not None
     assert len(paths.spread) == len(paths.paths[0].points)
-    np.testing.assert_allclose(paths.spread_at([[-1.0, 0, 0], [0.25, 0.1, 0]]), [apart, apart / 2], atol=1e-4)
-    np.testing.assert_allclose(paths.spread_at([[0.7, 0, 0], [2.0, 0, 0]]), 0.0, atol=5e-4)
+    np.testing.assert_allclose(paths.foot([[-1.0, 0, 0], [0.25, 0.1, 0]])[2], [apart, apart / 2], atol=1e-4)
+    np.testing.assert_allclose(paths.foot([[0.7, 0, 0], [2.0, 0, 0]])[2], 0.0, atol=5e-4)
 
 
 def test_demonstrations_that_count_each_for_itself_have_no_spread(recorded_pair: list[Array]) -> None:
-    np.testing.assert_array_equal(shown_paths(recorded_pair, "nearest").spread_at([[0.0, 0, 0], [0.5, 1, 0]]), 0.0)
+    np.testing.assert_array_equal(shown_paths(recorded_pair, "nearest").foot([[0.0, 0, 0], [0.5, 1, 0]])[2], 0.0)
 
 
 @pytest.fixture

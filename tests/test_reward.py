@@ -46,8 +46,7 @@ def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Ar
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
     poses, steps = beside(trajectories, seed, 20, spread)
     for prediction in ("raw", "rescaled"):
-        fields = {"prediction": prediction, "centring_within_m": reward.settings.centring_within_m}
-        judged = reward_with(reward, **{**SIGN.model_dump(), **fields}).judge(poses, steps)
+        judged = reward_with(reward, **{**SIGN.model_dump(), "prediction": prediction}).judge(poses, steps)
         wished = (
             reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
         )
@@ -241,7 +240,7 @@ def test_leading_back_turns_a_prediction_toward_the_path_and_keeps_its_length_an
     moved, turned = plain[:, :3] - poses[:, :3], led[:, :3] - poses[:, :3]
     np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(moved, axis=1), atol=1e-12)
     np.testing.assert_array_equal(plain[:, 3:], led[:, 3:])
-    aside = reward.path.nearest(poses[:, :3]) - poses[:, :3]
+    aside = reward.path.foot(poses[:, :3])[1] - poses[:, :3]
     along = moved / np.linalg.norm(moved, axis=1, keepdims=True)
     across = aside - (aside * along).sum(axis=1, keepdims=True) * along
     # Never away from the path, and in the plane of the prediction and the way back.
@@ -258,7 +257,7 @@ def test_so_far_from_the_path_as_it_says_it_leads_back_at_45_degrees(
     motion = reward.predicted(start[None])[0, :3] - position
     across = np.cross(motion, [0.3, -0.2, 0.9])
     beside_it = pose.make(position + 0.004 * across / np.linalg.norm(across), start[3:])[None]
-    nearest = reward.path.nearest(beside_it[:, :3])[0] - beside_it[0, :3]
+    nearest = reward.path.foot(beside_it[:, :3])[1][0] - beside_it[0, :3]
     settings = {"lead_back_m": float(np.linalg.norm(nearest)), "centring_within_m": 10.0}
     plain = reward_with(reward, lead_back_m=0.0).predicted(beside_it)[0, :3] - beside_it[0, :3]
     led = reward_with(reward, **settings).predicted(beside_it)[0, :3] - beside_it[0, :3]
@@ -274,15 +273,15 @@ def test_where_the_demonstrations_disagree_their_mean_neither_centres_nor_leads_
     reward: IntentReward, trajectories: list[Array]
 ) -> None:
     poses, steps = beside(trajectories, 6, 200, 0.004)
-    changes = {"lead_back_m": 0.005, "centring": 0.9, "goal": 0.0}
-    plain = reward_with(reward, **{**changes, "lead_back_m": 0.0, "centring": 0.0})
-    led = reward_with(reward, **changes)
-    for apart, counts in ((0.0, True), (1.0, False)):
-        path = PathSet(led.path.paths, np.full(len(led.path.paths[0].points), apart))
-        found = IntentReward(led.task, led.model, led.trust, led.settings, path)
-        same = np.allclose(found.predicted(poses), plain.predicted(poses), atol=1e-12)
-        same = same and np.allclose(found.judge(poses, steps).reward, plain.judge(poses, steps).reward, atol=1e-12)
-        assert same != counts
+    neither = {"lead_back_m": 0.0, "centring": 0.0, "goal": 0.0}
+    plain = reward_with(reward, **neither).judge(poses, steps).reward
+    for one in ({"lead_back_m": 0.005}, {"centring": 0.9}):
+        base = reward_with(reward, **{**neither, **one})
+        for apart, counts in ((0.0, True), (1.0, False)):
+            path = PathSet(base.path.paths, np.full(len(base.path.paths[0].points), apart))
+            found = IntentReward(base.task, base.model, base.trust, base.settings, path)
+            same = np.allclose(found.judge(poses, steps).reward, plain, atol=1e-12)
+            assert same != counts
 
 
 def test_far_from_the_path_and_at_the_goal_nothing_leads_back(reward: IntentReward, trajectories: list[Array]) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from koopdqn.config.folder import ensure_resolver
 from koopdqn.config.resources import conf_dir
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     from hydra.core.global_hydra import GlobalHydra
     from omegaconf import OmegaConf
 
+    ensure_resolver()
     if GlobalHydra.instance().is_initialized():
         config = compose("config", overrides=list(overrides))
     else:

@@ -30,6 +30,14 @@ def register_resolver(*, check: bool) -> None:
         OmegaConf.register_new_resolver(name, resolver if check else str, replace=True, use_cache=True)
 
 
+def ensure_resolver() -> None:
+    """Register the resolvers for showing alone, unless a command has registered them."""
+    from omegaconf import OmegaConf
+
+    if not OmegaConf.has_resolver(RESOLVER):
+        register_resolver(check=False)
+
+
 def require_new(folder: Path, ignore: str = "") -> None:
     """Raise unless a run folder is absent, empty or holds hidden files only.
 

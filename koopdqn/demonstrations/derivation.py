@@ -67,7 +67,8 @@ class Derivation(TaskChoice):
     lead_back_m: float = Field(
         ge=0,
         le=1.0,
-        description="how far beside that path the model's prediction leads back to it at 45° [m]; 0: never",
+        description="how far beside that path the model's prediction leads back to it at 45°, but for what has faded"
+        " there [m]; 0: never",
     )
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
     end_spread_m: Positive = Field(description="how far a demonstration may end from the mean of all ends [m]")

@@ -48,7 +48,7 @@ class AgentSettings(Settings):
     epsilon_steps: Count = Field(description="actions over which ε falls")
     exploring_starts: Fraction = Field(description="share of episodes that are short, for exploring")
     exploring_in_region: Fraction = Field(
-        description="share of those that begin in the start region; the others begin along a demonstration"
+        description="share of those that begin in and around the start region; the others begin along a demonstration"
     )
     exploring_scale: float = Field(
         ge=1, le=10, description="how many times wider than the start region all but the latter may begin"

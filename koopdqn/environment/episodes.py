@@ -6,11 +6,12 @@ import numpy as np
 
 from koopdqn.environment.actions import COUNT
 from koopdqn.environment.reachability import Motion, Reachability
-from koopdqn.errors import WorkFailedError
+from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
 _MOST_DRAWS = 1000
+_MOST_REGIONS = 20
 
 
 @dataclass
@@ -84,11 +85,12 @@ class EpisodeBatch:
 
 @dataclass
 class StartSampler:
-    """Draws where episodes begin: in the task's start region, or somewhere along a demonstration.
+    """Draws where episodes begin: in and around the task's start region, or somewhere along a demonstration.
 
     Some episodes are exploring ones, cut after a few steps. Beginning along the demonstrations shows the
     agent the whole tube from the first moment, and what to do a little beside the path, where its own
-    mistakes will take it; beginning often in the start region shows it that region's corners.
+    mistakes will take it; beginning often in and around the start region shows it that region's corners, and the way
+    from farther out.
 
     Attributes:
         task: gives the start region.
@@ -120,11 +122,7 @@ class StartSampler:
         if batch.exploring[index] and rng.random() >= self.region_share:
             pose, motion = self._along_demonstration(rng)
         else:
-            # Draws shrink toward the region's middle, so that the region itself is seen most.
-            region = self.task.with_starts_scaled(1.0 + (self.region_scale - 1.0) * float(rng.random()))
-            poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
-            self.refused += refused
-            pose, motion = poses[0], Motion(joints[0])
+            pose, motion = self._around_region(rng)
         assert motion.joints is not None  # both ways draw until the arm can
         batch.poses[index], batch.joints[index] = pose, motion.joints
         batch.steps[index] = 0
@@ -133,6 +131,22 @@ class StartSampler:
         batch.rewards[index] = 0.0
         batch.tried[index] = False
         batch.stored[index] = False
+
+    def _around_region(self, rng: np.random.Generator) -> tuple[Array, Motion]:
+        left = _MOST_REGIONS
+        while True:
+            # Draws are densest toward the region's middle.
+            region = self.task.with_starts_scaled(1.0 + (self.region_scale - 1.0) * float(rng.random()))
+            left -= 1
+            try:
+                poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
+            except BadInputError:
+                # Far out there may be little that the arm can take, and more in a narrower region.
+                if not left:
+                    raise
+                continue
+            self.refused += refused
+            return poses[0], Motion(joints[0])
 
     def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Motion]:
         for _ in range(_MOST_DRAWS):

@@ -64,8 +64,8 @@ class RewardSettings(Settings):
     lead_back_m: float = Field(
         ge=0,
         le=10,
-        description="distance from that path, near it, at which a prediction is turned to lead back to it as much as"
-        " along it [m]; 0 leaves the prediction to the intent model (the paper)",
+        description="distance from that path at which a prediction is turned to lead back to it as much as along it,"
+        " but for what has faded there [m]; 0 leaves the prediction to the intent model (the paper)",
     )
     size: float = Field(gt=0, le=1e3, description="largest absolute reward of a step")
     goal: float = Field(ge=0, le=1e3, description="added when a right action reaches the goal")
@@ -129,29 +129,30 @@ class IntentReward:
     def _led_back(self, poses: Array, predicted: Array) -> Array:
         """Return predicted poses (N, 7) turned toward the path, as long a motion from poses (N, 7) as before.
 
-        Where demonstrations lie side by side the model leads along their bundle and lets ten coarse actions drift
-        across it. At the goal, where paths end, the model alone leads.
+        Ten coarse actions leave a path by up to the distance over which the model leads back to it, and where
+        demonstrations lie side by side the model leads along their bundle. At the goal, where paths end, the model
+        alone leads.
         """
         position = poses[:, pose.POSITION]
         motion = predicted[:, pose.POSITION] - position
         length = np.linalg.norm(motion, axis=1, keepdims=True)
         along = motion / np.where(length > 0, length, 1.0)
-        aside = self.path.nearest(position) - position
-        near = self._nearness(position, np.linalg.norm(aside, axis=1))[:, None]
+        _, nearest, spread = self.path.foot(position)
+        aside = nearest - position
+        near = self._nearness(np.linalg.norm(aside, axis=1), spread)[:, None]
         left = pose.position_distance(poses, self.task.goal)[:, None]
         across = aside - (aside * along).sum(axis=1, keepdims=True) * along
         turned = along + near * np.minimum(1.0, left / _END_M) * across / self.settings.lead_back_m
         turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), _NO_MOTION)
         return pose.make(position + length * turned, predicted[:, pose.QUATERNION])
 
-    def _nearness(self, positions: Array, aside: Array) -> Array:
-        """Return from 0 to 1 how much the path counts at positions (N, 3) that are ``aside`` (N,) of it.
+    def _nearness(self, aside: Array, spread: Array) -> Array:
+        """Return from 0 to 1 how much the path counts (N,) that far ``aside`` (N,) of it, by its ``spread`` (N,) there.
 
         It counts nearby only, since from afar a person comes back to it in a way of their own, and only where the
         demonstrations agree: while they still come together, their mean is nobody's path.
         """
-        squared = aside**2 + self.path.spread_at(positions) ** 2
-        return np.asarray(np.exp(-0.5 * squared / self.settings.centring_within_m**2))
+        return np.asarray(np.exp(-0.5 * (aside**2 + spread**2) / self.settings.centring_within_m**2))
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array) -> "IntentReward":
         """Return the reward function with a model and a trust domain extended by answers.
@@ -196,10 +197,9 @@ class IntentReward:
 
     def _centring(self, poses: Array, reached: Array) -> tuple[Array, Array]:
         """Return how much coming nearer to the path counts (N, 1), and how much nearer each comes (N, 10): 0 to 1."""
-        position = poses[:, pose.POSITION]
-        aside = self.path.distance(position)
+        aside, _, spread = self.path.foot(poses[:, pose.POSITION])
         after = self.path.distance(reached[..., pose.POSITION].reshape(-1, 3)).reshape(reached.shape[:2])
-        share = self.settings.centring * self._nearness(position, aside)
+        share = self.settings.centring * self._nearness(aside, spread)
         return share[:, None], 0.5 + 0.5 * np.clip((aside[:, None] - after) / self.task.step_m, -1.0, 1.0)
 
     def _certain(self, margin: Array) -> np.ndarray:

@@ -162,7 +162,7 @@ class EvaluationReport(MethodReport):
     task: Name = Field(description="name of the task")
     episodes: Count = Field(description="held-out starts")
     seed: NonNegativeInt = Field(description="of the starts")
-    start_scale: Positive = Field(description="half ranges of the start region, in those the task trains with")
+    start_scale: Positive = Field(description="half ranges of the start region, in those of the task")
     redrawn_starts: NonNegativeInt = Field(
         description="draws of the start region that the arm could not take and that were drawn again"
     )

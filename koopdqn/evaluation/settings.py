@@ -11,7 +11,9 @@ class EvaluationSettings(Settings):
     episodes: int = Field(ge=1, le=100_000, description="held-out starts")
     seed: int = Field(ge=0, description="of the starts; their random stream is never one of training's or its checks'")
     start_scale: float = Field(
-        gt=0, le=100, description="half ranges of the start region times this; above 1, starts farther than any seen"
+        gt=0,
+        le=100,
+        description="half ranges of the start region times this; above 1, starts farther than any demonstrated",
     )
     dynamics: bool = Field(description="also execute paths in MuJoCo dynamics through the arm's actuators")
     dynamics_episodes: Count = Field(description="successful paths executed so, the first ones, if there are as many")

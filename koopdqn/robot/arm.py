@@ -79,4 +79,7 @@ class Arm(Protocol):
         """Return the joint angles nearest ``seed`` (6,) [rad] that bring the flange to ``pose`` (7,)."""
 
     def solutions(self, pose: ArrayLike, seed: ArrayLike | None = None) -> Array:
-        """Return all solutions (k, 6) [rad] for ``pose`` (7,), unwrapped to lie nearest ``seed`` (home if None)."""
+        """Return all solutions (k, 6) [rad] for ``pose`` (7,), unwrapped to lie nearest ``seed`` (home if None).
+
+        The nearest to it comes first, by the largest difference of a joint.
+        """

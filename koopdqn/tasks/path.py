@@ -83,15 +83,14 @@ class PathSet:
         distance, _ = self._tree.query(np.asarray(positions, dtype=float))
         return np.asarray(distance)
 
-    def nearest(self, positions: ArrayLike) -> Array:
-        """Return the point (N, 3) [m] of any of the curves that is nearest to each position (N, 3) [m]."""
-        _, index = self._tree.query(np.asarray(positions, dtype=float))
-        return np.asarray(self._tree.data[index])
+    def foot(self, positions: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return of the point of any of the curves that is nearest to each position (N, 3) [m]: how far, where, spread.
 
-    def spread_at(self, positions: ArrayLike) -> Array:
-        """Return the spread (N,) [m] at the point of any of the curves that is nearest to each position (N, 3) [m]."""
-        _, index = self._tree.query(np.asarray(positions, dtype=float))
-        return np.zeros(len(index)) if self.spread is None else self.spread[index]
+        That is the distance (N,) [m], the point (N, 3) [m] and the spread there (N,) [m].
+        """
+        distance, index = self._tree.query(np.asarray(positions, dtype=float))
+        spread = np.zeros(len(index)) if self.spread is None else self.spread[index]
+        return np.asarray(distance), np.asarray(self._tree.data[index]), spread
 
     @cached_property
     def _tree(self) -> "KDTree":

@@ -79,7 +79,8 @@ class Task(TaskChoice):
     lead_back_m: float = Field(
         ge=0,
         le=1.0,
-        description="how far beside that path the model's prediction leads back to it at 45° [m]; 0: never",
+        description="how far beside that path the model's prediction leads back to it at 45°, but for what has faded"
+        " there [m]; 0: never",
     )
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")

@@ -13,6 +13,7 @@ KIND = "checkpoint"
 # In a message: differences named, and characters of a value.
 _SHOWN = 4
 _LONGEST = 40
+_NONE = object()
 
 
 def checkpoint_path(folder: Path) -> Path:
@@ -30,7 +31,7 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
         seconds: how long the run has taken so far.
     """
     arrays, state = trainer.state()
-    about = {"shaped_by": _as_stored(shaped_by), "state": state, "seconds": seconds}
+    about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}
     write_artifact(checkpoint_path(folder), Artifact(KIND, arrays, about))
 
 
@@ -44,7 +45,7 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     if not path.exists():
         return None
     artifact = read_artifact(path, KIND)
-    other = _differences("", artifact.about["shaped_by"], _as_stored(shaped_by))
+    other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
     if other:
         shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
         raise BadInputError(
@@ -54,19 +55,23 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     return artifact
 
 
-def _as_stored(shaped_by: dict[str, Any]) -> Any:
-    return json.loads(canonical_json(shaped_by))
-
-
 def _differences(name: str, began: Any, now: Any) -> list[str]:
-    """Return what is different in two contents of JSON, by the dotted names of their keys."""
+    """Return what is different in two contents of JSON, by the dotted names of their keys and places."""
+    if isinstance(began, list) and isinstance(now, list) and len(began) == len(now):
+        began, now = dict(enumerate(began)), dict(enumerate(now))
     if isinstance(began, dict) and isinstance(now, dict):
-        keys = dict.fromkeys([*began, *now])
-        of_keys = [_differences(f"{name}.{key}" if name else key, began.get(key), now.get(key)) for key in keys]
-        return [difference for differences in of_keys for difference in differences]
-    return [] if began == now else [f"{name or 'config'} {_brief(now)} instead of {_brief(began)}"]
+        found = []
+        for key in dict.fromkeys([*began, *now]):
+            found += _differences(f"{name}.{key}" if name else str(key), began.get(key, _NONE), now.get(key, _NONE))
+        return found
+    # 1, 1.0 and true are equal in Python and different settings.
+    if _brief(began, None) == _brief(now, None):
+        return []
+    return [f"{name or 'config'} {_brief(now)} instead of {_brief(began)}"]
 
 
-def _brief(value: Any) -> str:
-    text = canonical_json(value)
+def _brief(value: Any, longest: int | None = _LONGEST) -> str:
+    text = "nothing" if value is _NONE else canonical_json(value)
+    if longest is None:
+        return text
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

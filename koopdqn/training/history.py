@@ -27,7 +27,7 @@ class History:
     Attributes:
         rewards: reward gathered in each finished episode.
         lengths: steps of each finished episode.
-        exploring: whether each began along a demonstration.
+        exploring: whether each was a short one, for exploring.
         losses: mean loss between checks.
         checks: all checks.
         judged: rewards given, by source (:data:`~koopdqn.environment.reward.SOURCES`).
