@@ -58,6 +58,10 @@ class Derivation(TaskChoice):
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: Positive
     pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the law looks along a demonstration [m]")
+    far_copies: int = Field(
+        ge=0, le=100, description="made-up states far from each demonstrated one that the intent model gets by default"
+    )
+    far_weight: float = Field(gt=0, le=1, description="what each of them counts beside a demonstrated one, by default")
     centring: Fraction = Field(
         description="how much, among right actions, coming nearer to the demonstrated path counts"
     )
@@ -151,6 +155,8 @@ class Derivation(TaskChoice):
             goal_tolerance_m=self.goal_tolerance_m,
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
             pull_back_m=self.pull_back_m,
+            far_copies=self.far_copies,
+            far_weight=self.far_weight,
             centring=self.centring,
             centring_path=self.centring_path,
             lead_back_m=self.lead_back_m,

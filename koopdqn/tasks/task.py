@@ -66,6 +66,13 @@ class Task(TaskChoice):
         le=1.0,
         description="how far ahead the demonstrator looks along its path, and the intent model's made-up states [m]",
     )
+    far_copies: int = Field(
+        ge=0,
+        le=100,
+        description="made-up states far from each demonstrated one that the intent model gets by default: how a person"
+        " comes from farther than demonstrated",
+    )
+    far_weight: float = Field(gt=0, le=1, description="what each of them counts beside a demonstrated one, by default")
     centring: float = Field(
         ge=0,
         le=1,
