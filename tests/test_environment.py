@@ -117,11 +117,12 @@ def test_the_goal_terminates_with_discount_zero(workcell: Workcell, reward: Inte
     environment = KoopmanEnvironment(workcell, reward, ScriptedOracle(task), 3000, 3)
     timestep = environment.reset()
     for _ in range(1000):
-        candidates = reward.judge(environment.pose[None], np.array([0])).reached[0]
+        judged = reward.judge(environment.pose[None], np.array([0]))
         wished = task.demonstrator.next_pose(environment.pose[None])[0]
-        legal = [1, *AXES]
-        nearest = legal[int(np.linalg.norm(candidates[legal, :3] - wished[:3], axis=1).argmin())]
-        timestep = environment.step(nearest)
+        # One in forty of the model's rewards is not the demonstrator's; a wrong action is undone.
+        right = np.flatnonzero(judged.reward[0] >= 0)
+        nearest = right[np.linalg.norm(judged.reached[0, right, :3] - wished[:3], axis=1).argmin()]
+        timestep = environment.step(int(nearest))
         if timestep.last():
             break
     assert timestep.last()

@@ -88,13 +88,12 @@ def test_an_answer_holds_for_its_action_nearby_and_names_itself(
     point = trajectories[0][100]
     action = int(trainer.feedback.judge(point[None], np.array([0])).margin[0].argmax())
     assert ask(trainer, point, action) is right
-    near, far = point.copy(), point.copy()
+    far = point.copy()
     far[0] += 0.005
-    # On one side the model thinks the action more surely right than here, on the other less.
-    surer = _margin_at(trainer, point + np.array([2e-4, 0, 0, 0, 0, 0, 0]), action) >= _margin_at(
-        trainer, point, action
-    )
-    near[0] += 2e-4 if surer == right else -2e-4
+    # A yes holds where the model thinks the action at least as surely right as here, a no where it does not.
+    here = _margin_at(trainer, point, action)
+    around = [point + sign * 2e-4 * np.eye(7)[axis] for axis in range(3) for sign in (-1, 1)]
+    near = next(place for place in around if (_margin_at(trainer, place, action) >= here) == right)
     judged = trainer.feedback.judge(np.array([point, near, far]), np.array([0, 0, 0]))
     np.testing.assert_array_equal(judged.known[:, action], [True, True, False])
     for row in (0, 1):
