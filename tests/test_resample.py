@@ -117,11 +117,7 @@ def test_the_mean_path_has_the_spread_of_what_it_is_the_mean_of(apart: float) ->
     np.testing.assert_allclose(paths.foot([[0.7, 0, 0], [2.0, 0, 0]])[2], 0.0, atol=5e-4)
 
 
-def test_demonstrations_that_count_each_for_itself_have_no_spread(recorded_pair: list[Array]) -> None:
-    np.testing.assert_array_equal(shown_paths(recorded_pair, "nearest").foot([[0.0, 0, 0], [0.5, 1, 0]])[2], 0.0)
-
-
-@pytest.fixture
-def recorded_pair() -> list[Array]:
+def test_demonstrations_that_count_each_for_itself_have_no_spread() -> None:
     along = np.linspace(0, 1, 11)
-    return [pose.make(np.stack([along, side + 0 * along, 0 * along], axis=1), [1.0, 0, 0, 0]) for side in (-1, 1)]
+    pair = [pose.make(np.stack([along, side + 0 * along, 0 * along], axis=1), [1.0, 0, 0, 0]) for side in (-1, 1)]
+    np.testing.assert_array_equal(shown_paths(pair, "nearest").foot([[0.0, 0, 0], [0.5, 1, 0]])[2], 0.0)

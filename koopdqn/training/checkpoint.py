@@ -65,13 +65,15 @@ def _differences(name: str, began: Any, now: Any) -> list[str]:
             found += _differences(f"{name}.{key}" if name else str(key), began.get(key, _NONE), now.get(key, _NONE))
         return found
     # 1, 1.0 and true are equal in Python and different settings.
-    if _brief(began, None) == _brief(now, None):
+    if _text(began) == _text(now):
         return []
     return [f"{name or 'config'} {_brief(now)} instead of {_brief(began)}"]
 
 
-def _brief(value: Any, longest: int | None = _LONGEST) -> str:
-    text = "nothing" if value is _NONE else canonical_json(value)
-    if longest is None:
-        return text
+def _text(value: Any) -> str:
+    return "nothing" if value is _NONE else canonical_json(value)
+
+
+def _brief(value: Any) -> str:
+    text = _text(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
