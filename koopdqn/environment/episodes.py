@@ -135,8 +135,9 @@ class StartSampler:
     def _around_region(self, rng: np.random.Generator) -> tuple[Array, Motion]:
         left = _MOST_REGIONS
         while True:
-            # Draws are densest toward the region's middle.
-            region = self.task.with_starts_scaled(1.0 + (self.region_scale - 1.0) * float(rng.random()))
+            # Regions evenly spread over their volumes: far corners are many, and draws crowd the middle all the same.
+            scale = (1.0 + (self.region_scale**3 - 1.0) * float(rng.random())) ** (1 / 3)
+            region = self.task.with_starts_scaled(scale)
             left -= 1
             try:
                 poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
