@@ -66,6 +66,11 @@ LINES: Final = (
         of=DEFAULT,
         baselines={"greedy": "greedy, starts three times wider"},
     ),
-    Line("continued", "trained on to five times the actions", ("train.stop=limit", "train.extend=5.0"), seeds=FEW),
+    Line(
+        "continued",
+        "trained on to five times the actions",
+        ("train.stop=limit", "train.extend=5.0", "train.max_steps=5000000"),
+        seeds=FEW,
+    ),
 )
 PAPER: Final = "the paper preset"

@@ -12,6 +12,7 @@ import pytest
 from small_run import SMALL
 
 from koopdqn import cli, console
+from koopdqn.files import read_json
 
 LONGER = ("train.stop=limit", "train.extend=3")
 RESULTS = ("policy.safetensors", "feedback.jsonl", "demos.hdf5", "intent.npz", "fit.json")
@@ -94,3 +95,14 @@ def test_a_finished_run_goes_on_to_itself(uninterrupted: dict[str, str], tmp_pat
     assert digests(folder) == uninterrupted
     assert cli.main(["train", f"run={folder}", "train.extend=3", "--json"]) == 0
     assert digests(folder) == uninterrupted
+
+
+def test_a_training_cut_short_by_a_limit_says_by_which(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "run"
+    assert cli.main(["train", *SMALL, f"out={folder}"]) == 0
+    assert "went on" not in capsys.readouterr().out
+    reached = read_json(folder / "train.json", "training report")["env_steps"]
+    limited = f"train.max_steps={reached + 1}"
+    assert cli.main(["train", f"run={folder}", "train.stop=limit", "train.extend=40", limited]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"less than train.extend=40: {limited} came first" in said

@@ -74,7 +74,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     write_json(folder / REPORT, report)
     plot_training(folder / "train.png", trainer.history, report)
     return CommandResult(
-        report, _lines(report, folder), objective=report["best_success_rate"], exit_status=0 if trainer.learned else 1
+        report,
+        _lines(report, folder, trainer),
+        objective=report["best_success_rate"],
+        exit_status=0 if trainer.learned else 1,
     )
 
 
@@ -142,7 +145,7 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
     return TrainReport.model_validate(content).model_dump(mode="json")
 
 
-def _lines(report: dict[str, Any], folder: Path) -> list[str]:
+def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
     agreement = report["reward_agreement"]
     shown = ", ".join(
         f"{name} {'none given' if share is None else format(share, '.1%')}" for name, share in agreement.items()
@@ -151,8 +154,24 @@ def _lines(report: dict[str, Any], folder: Path) -> list[str]:
     return [
         f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
         f" {report['oracle_queries']} questions asked",
+        *_cut_short(trainer),
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / REPORT)}",
         f"training curve  {console.shown_path(folder / 'train.png')}",
+    ]
+
+
+def _cut_short(trainer: Trainer) -> list[str]:
+    """Return what to say of a training that went on past learned, but less far than it was asked to."""
+    settings = trainer.settings
+    if settings.stop == "learned" or not trainer.learned:
+        return []
+    reached = trainer.env_steps / trainer.learned_at
+    if reached >= settings.extend or trainer.feedback.stopped:
+        return []
+    name = "max_steps" if trainer.env_steps >= settings.max_steps else "max_episodes"
+    return [
+        f"went on to {reached:.1f} times the actions it took to learn, less than train.extend={settings.extend:g}:"
+        f" train.{name}={getattr(settings, name)} came first"
     ]
