@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from typing import Final
 
-# Four times the actions that the default config needs to learn; variants that store one action a step, not all that
-# are known, need far fewer and have their own limit, again four times what they need.
-ALL_TRIED: Final = 430_000
-ONE_TRIED: Final = 64_000
+# Twice the actions that the default config needs to learn; variants that store one action a step, not all that are
+# known, need far fewer and have their own limit, again twice what they need.
+ALL_TRIED: Final = 700_000
+ONE_TRIED: Final = 85_000
 
 
 @dataclass(frozen=True)

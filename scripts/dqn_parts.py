@@ -26,7 +26,7 @@ PAGE: Final = Path("docs") / "algorithm.md"
 CASES: Final = (("shelf", 0), ("knife", 0), ("knife", 3))
 """Tasks and seeds."""
 # Three times what the default needs.
-_LIMIT: Final = "train.max_steps=400000"
+_LIMIT: Final = "train.max_steps=1000000"
 _MEASURED: Final = ("eval.dynamics=false", "eval.baselines=false")
 _HEADS: Final = (
     "changed",
