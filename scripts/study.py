@@ -86,7 +86,11 @@ class Run:
         return [*left, ("eval", [*inputs, "eval.dynamics=false", beside, *self.line.evaluation])]
 
     def results(self) -> list[Result]:
-        """Return the line's result and those of the baselines below it; none if the run is not finished."""
+        """Return the line's result and those of the baselines below it; none if the run is not finished.
+
+        Raises:
+            BadInputError: the folder holds a training with other overrides, or an evaluation without those baselines.
+        """
         if self.commands():
             return []
         evaluation = read_json(self.folder / "eval" / "eval.json", "the evaluation report")
@@ -98,7 +102,13 @@ class Run:
         results = [self._result(self.line.name, evaluation, trained, least_check(trained))]
         nothing = {**trained, "learned": None, "oracle_queries": 0, "reward_agreement": _NONE, "seconds": None}
         for name in self.line.baselines:
-            results.append(self._result(self.line.named(name), evaluation["baselines"][name], nothing, None))
+            measured = (evaluation["baselines"] or {}).get(name)
+            if measured is None:
+                raise BadInputError(
+                    f"{self.folder / 'eval' / 'eval.json'}: must hold the baseline {name}, found none;"
+                    " remove the folder to measure it again"
+                )
+            results.append(self._result(self.line.named(name), measured, nothing, None))
         return results
 
     def _result(

@@ -161,6 +161,15 @@ def test_the_baselines_below_a_line_are_measured_with_it(tmp_path: Path, name: s
     assert [result.questions for result in results] == [7] + [0] * len(line.baselines)
 
 
+def test_an_evaluation_without_the_baselines_is_bad_input(tmp_path: Path) -> None:
+    run = Run("shelf", LINE["wide"], 0, tmp_path)
+    carry_out(run, Launcher())
+    measured = run.folder / "eval" / "eval.json"
+    write(measured, {**json.loads(measured.read_text(encoding="utf-8")), "baselines": None})
+    with pytest.raises(BadInputError, match=r"eval\.json: must hold the baseline greedy, found none"):
+        run.results()
+
+
 def test_a_training_that_does_not_learn_is_a_result(tmp_path: Path) -> None:
     run = Run("shelf", LINE["gamma-0"], 0, tmp_path)
     assert carry_out(run, Launcher(train_status=1)) == ""
