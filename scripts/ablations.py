@@ -19,7 +19,7 @@ from typing import Final
 import measured_runs
 from ablation_tables import Row, with_tables
 from ablation_variants import VARIANTS, Variant
-from measured_runs import Command, Launch, Training, launch
+from measured_runs import JOBS, Command, Launch, Training, launch
 
 from koopdqn import console
 from koopdqn.errors import BadInputError
@@ -125,7 +125,7 @@ def write_results(root: Path = FOLDER, page: Path = PAGE) -> list[Row]:
     return rows
 
 
-def measure(runs: Sequence[Run], launch: Launch = launch) -> int:
+def measure(runs: Sequence[Run], launch: Launch = launch, jobs: int = 1) -> int:
     """Carry out what is left of the runs, telling what came of each; return the exit status.
 
     Raises:
@@ -137,7 +137,7 @@ def measure(runs: Sequence[Run], launch: Launch = launch) -> int:
             verdict = "learned" if row.learned else "not learned"
             console.note(f"{run.name}: {verdict}, success {row.success_rate:.0%}, {row.oracle_queries} questions")
 
-    return measured_runs.measure("Ablations", runs, finished, launch)
+    return measured_runs.measure("Ablations", runs, finished, launch, jobs=jobs)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -147,13 +147,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=["shelf"], help="default: shelf")
     parser.add_argument("--variants", nargs="+", choices=names, default=names, metavar="NAME", help="default: all")
     parser.add_argument("--seeds", nargs="+", type=int, choices=SEEDS, default=list(SEEDS), help="default: all")
+    parser.add_argument("--jobs", type=int, default=JOBS, help="runs side by side; default: %(default)s")
     given = parser.parse_args(arguments)
+    if given.jobs < 1:
+        parser.error(f"--jobs must be at least 1, found {given.jobs}")
     chosen = [variant for variant in VARIANTS if variant.name in given.variants]
 
     def work() -> int:
         os.chdir(Path(__file__).resolve().parents[1])
         try:
-            return measure(runs_of(given.tasks, chosen, given.seeds))
+            return measure(runs_of(given.tasks, chosen, given.seeds), jobs=given.jobs)
         finally:
             write_results()
 

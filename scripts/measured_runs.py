@@ -2,9 +2,11 @@
 
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event, Lock
 from time import monotonic
 from typing import Protocol, TypeVar
 
@@ -18,7 +20,12 @@ Command = tuple[str, list[str]]
 Launch = Callable[[str, Sequence[str], Path], int]
 """Carries out a koopdqn command: its name, its arguments, the file for its output; gives its exit status."""
 
+JOBS = 2
+"""How many runs are made side by side by default; each keeps one core busy."""
+
 _SECONDS = 60.0
+
+_processes: set[subprocess.Popen[bytes]] = set()
 
 
 def launch(command: str, arguments: Sequence[str], output: Path) -> int:
@@ -30,9 +37,12 @@ def call(arguments: Sequence[str], output: Path) -> int:
     """Run this Python with arguments, appending what it prints to a file, and return its exit status."""
     output.parent.mkdir(parents=True, exist_ok=True)
     with output.open("a", encoding="utf-8") as file:
-        return subprocess.run(
-            [sys.executable, *arguments], stdin=subprocess.DEVNULL, stdout=file, stderr=file
-        ).returncode
+        process = subprocess.Popen([sys.executable, *arguments], stdin=subprocess.DEVNULL, stdout=file, stderr=file)
+    _processes.add(process)
+    try:
+        return process.wait()
+    finally:
+        _processes.discard(process)
 
 
 @dataclass(frozen=True)
@@ -129,34 +139,70 @@ def measure(
     finished: Callable[[R], None],
     launch: Launch = launch,
     minutes: float | None = None,
+    jobs: int = 1,
+    together: Callable[[R], Hashable] = lambda run: run.name,
 ) -> int:
     """Carry out what is left of runs; return the exit status: 1 if a command crashed, else 0.
 
     Args:
         title: of the progress shown.
         runs: in their order.
-        finished: called with every run that is finished, also before this call.
+        finished: called with every run that is finished, also before this call; never twice at a time.
         launch: carries out commands.
         minutes: after which no new run is begun; None for no limit.
+        jobs: how many runs are made side by side.
+        together: runs for which it gives the same, that may use each other's folders, are made one after the other.
 
     Raises:
         BadInputError: the folder of a run holds a training with other overrides.
     """
     for run in runs:
         run.commands()  # other overrides are found out before hours are spent
-    began, crashes = monotonic(), 0
-    with console.stage(title, len(runs)) as stage:
-        for index, run in enumerate(runs):
-            stage.advance(0, run.name)
-            if minutes is not None and monotonic() - began >= _SECONDS * minutes and run.commands():
-                left = sum(bool(other.commands()) for other in runs[index:])
-                console.note(f"{left} runs are left after {minutes:g} minutes; the same command goes on with them")
-                break
-            crash = carry_out(run, launch)
-            if crash:
-                crashes += 1
-                console.warn(crash)
-            else:
-                finished(run)
-            stage.advance(1)
+    chains: dict[Hashable, list[R]] = {}
+    for run in runs:
+        chains.setdefault(together(run), []).append(run)
+    began, crashes, late = monotonic(), 0, Event()
+    one_at_a_time, stopped = Lock(), Event()
+
+    with console.stage(title, len(runs)) as stage, ThreadPoolExecutor(jobs) as pool:
+
+        def work(chain: Iterable[R]) -> None:
+            try:
+                carry_on(chain)
+            except BaseException:
+                stopped.set()
+                raise
+
+        def carry_on(chain: Iterable[R]) -> None:
+            nonlocal crashes
+            for run in chain:
+                if stopped.is_set():
+                    return
+                if minutes is not None and monotonic() - began >= _SECONDS * minutes and run.commands():
+                    late.set()
+                    return
+                stage.advance(0, run.name)
+                crash = carry_out(run, launch)
+                with one_at_a_time:
+                    if stopped.is_set():
+                        return
+                    if crash:
+                        crashes += 1
+                        console.warn(crash)
+                    else:
+                        finished(run)
+                    stage.advance(1)
+
+        futures = [pool.submit(work, chain) for chain in chains.values()]
+        try:
+            for future in as_completed(futures):
+                future.result()
+        except BaseException:
+            stopped.set()
+            for process in list(_processes):
+                process.terminate()
+            raise
+    if late.is_set():
+        left = sum(bool(run.commands()) for run in runs)
+        console.note(f"{left} runs are left after {minutes:g} minutes; the same command goes on with them")
     return 1 if crashes else 0

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import measured_runs
 from imitate import IMITATION
-from measured_runs import Command, Launch, Training
+from measured_runs import JOBS, Command, Launch, Training
 from study_lines import LINES, SEEDS, Line
 from study_tables import PaperRun, Result, least_check, with_tables
 
@@ -188,6 +188,7 @@ def measure(
     root: Path = FOLDER,
     page: Path = PAGE,
     paper: Path = PAPER_RUNS,
+    jobs: int = 1,
 ) -> int:
     """Carry out what is left of the runs, writing the tables after each; return the exit status.
 
@@ -200,7 +201,10 @@ def measure(
         for result in run.results():
             console.note(f"{run.task} {result.line} seed {run.seed}: success {result.success_rate:.0%}")
 
-    return measured_runs.measure("Study", runs, finished, launch, minutes)
+    # Lines of one task and seed share a training, and the demonstrations that it made.
+    return measured_runs.measure(
+        "Study", runs, finished, launch, minutes, jobs, together=lambda run: (run.task, run.seed)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -211,13 +215,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rows", nargs="+", choices=names, default=names, metavar="NAME", help="default: all")
     parser.add_argument("--seeds", nargs="+", type=int, choices=SEEDS, default=list(SEEDS), help="default: all")
     parser.add_argument("--minutes", type=float, help="begin no new run after that time; default: no limit")
+    parser.add_argument("--jobs", type=int, default=JOBS, help="runs side by side; default: %(default)s")
     given = parser.parse_args(arguments)
+    if given.jobs < 1:
+        parser.error(f"--jobs must be at least 1, found {given.jobs}")
     chosen = [line for line in LINES if line.name in given.rows]
 
     def work() -> int:
         os.chdir(Path(__file__).resolve().parents[1])
         write_results()  # a page that cannot be written is found out before hours are spent
-        return measure(runs_of(given.tasks, chosen, given.seeds), minutes=given.minutes)
+        return measure(runs_of(given.tasks, chosen, given.seeds), minutes=given.minutes, jobs=given.jobs)
 
     return guard(work, debug=False)
 
