@@ -86,6 +86,8 @@ def plot_evaluation(
             shown = [*(compared or ()), *episodes] if aside else episodes
             _projection(axes, plane, shown, references, demonstrations, task, aside)
             axes.set_title(f"Learned and demonstrated paths, from {VIEWS[plane]}")
+        handles, labels = views[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
         pair = bars.subgridspec(1, 2)
         success = figure.add_subplot(pair[0])
         _comparison(success, figure.add_subplot(pair[1], sharey=success), report)
@@ -143,7 +145,6 @@ def _projection(
             *project(np.concatenate(ends), plane), linestyle="", marker="x", color=RED, label="failed here", zorder=5
         )
     frame_projection(axes, plane, task, [*demonstrated, *learned])
-    axes.legend(loc="best")
 
 
 def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> None:
