@@ -19,7 +19,7 @@ from typing import Final
 import measured_runs
 from ablation_tables import Row, with_tables
 from ablation_variants import VARIANTS, Variant
-from measured_runs import JOBS, Command, Launch, Training, launch
+from measured_runs import Command, Launch, Training, add_jobs, launch
 
 from koopdqn import console
 from koopdqn.errors import BadInputError
@@ -147,10 +147,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=["shelf"], help="default: shelf")
     parser.add_argument("--variants", nargs="+", choices=names, default=names, metavar="NAME", help="default: all")
     parser.add_argument("--seeds", nargs="+", type=int, choices=SEEDS, default=list(SEEDS), help="default: all")
-    parser.add_argument("--jobs", type=int, default=JOBS, help="runs side by side; default: %(default)s")
+    add_jobs(parser)
     given = parser.parse_args(arguments)
-    if given.jobs < 1:
-        parser.error(f"--jobs must be at least 1, found {given.jobs}")
     chosen = [variant for variant in VARIANTS if variant.name in given.variants]
 
     def work() -> int:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -26,6 +27,17 @@ JOBS = 2
 _SECONDS = 60.0
 
 _processes: set[subprocess.Popen[bytes]] = set()
+
+
+def add_jobs(parser: ArgumentParser) -> None:
+    """Let a script be told how many runs it makes side by side: ``--jobs``."""
+    parser.add_argument("--jobs", type=_jobs, default=JOBS, help="runs side by side; default: %(default)s")
+
+
+def _jobs(given: str) -> int:
+    if not given.isdecimal() or int(given) < 1:
+        raise ArgumentTypeError(f"must be a whole number of at least 1, found {given}")
+    return int(given)
 
 
 def launch(command: str, arguments: Sequence[str], output: Path) -> int:

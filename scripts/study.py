@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import measured_runs
 from imitate import IMITATION
-from measured_runs import JOBS, Command, Launch, Training
+from measured_runs import Command, Launch, Training, add_jobs
 from study_lines import LINES, SEEDS, Line
 from study_tables import PaperRun, Result, least_check, with_tables
 
@@ -215,10 +215,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--rows", nargs="+", choices=names, default=names, metavar="NAME", help="default: all")
     parser.add_argument("--seeds", nargs="+", type=int, choices=SEEDS, default=list(SEEDS), help="default: all")
     parser.add_argument("--minutes", type=float, help="begin no new run after that time; default: no limit")
-    parser.add_argument("--jobs", type=int, default=JOBS, help="runs side by side; default: %(default)s")
+    add_jobs(parser)
     given = parser.parse_args(arguments)
-    if given.jobs < 1:
-        parser.error(f"--jobs must be at least 1, found {given.jobs}")
     chosen = [line for line in LINES if line.name in given.rows]
 
     def work() -> int:

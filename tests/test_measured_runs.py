@@ -1,6 +1,7 @@
 """Runs of scripts, made side by side."""
 
 import sys
+from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from koopdqn.errors import BadInputError
 # The Makefile runs scripts as files, which puts their folder first on the path.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 
-from measured_runs import Command, call, measure
+from measured_runs import JOBS, Command, add_jobs, call, measure
 
 
 @dataclass
@@ -97,3 +98,14 @@ def test_commands_under_way_are_ended_with_the_measurement(tmp_path: Path) -> No
     with pytest.raises(BadInputError, match="broken: must be whole"):
         measure("Runs", runs, lambda run: None, launcher, jobs=2)
     assert monotonic() - began < 300
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "two", "1.5"])
+def test_a_number_of_jobs_that_is_none_is_bad_input(given: str, capsys: pytest.CaptureFixture[str]) -> None:
+    parser = ArgumentParser()
+    add_jobs(parser)
+    assert parser.parse_args([]).jobs == JOBS
+    assert parser.parse_args(["--jobs", "3"]).jobs == 3
+    with pytest.raises(SystemExit, match="2"):
+        parser.parse_args([f"--jobs={given}"])
+    assert f"must be a whole number of at least 1, found {given}" in capsys.readouterr().err
