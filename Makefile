@@ -10,13 +10,15 @@ VENV ?= .venv
 PYTHON ?=
 # The tasks that `make ablations` measures: shelf, knife or both.
 TASKS ?= shelf
+# The folder of motions of people that `make people` measures.
+PEOPLE ?= ../shared/data
 # After how many minutes `make study` begins no new run.
 MINUTES ?= 90
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench ablations parts study docs figures package constraints clean
+.PHONY: help setup demo test learn lint format types bench ablations parts study people docs figures package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -60,6 +62,9 @@ parts: $(STAMP) ## Measure what each part of the DQN does, two seeds; goes on wh
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py --minutes $(MINUTES)
+
+people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
+	$(BIN)/python scripts/people.py --data $(PEOPLE)
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py

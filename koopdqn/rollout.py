@@ -19,8 +19,8 @@ RULE_BROKEN: Final = "rule_broken"
 FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
 """Causes by which an episode can fail."""
 
-Controller = Callable[[Array], np.ndarray]
-"""Chooses the actions (N,) from poses (N, 7)."""
+Controller = Callable[[Array, Array], np.ndarray]
+"""Chooses the actions (N,) from poses (N, 7) of episodes that began at starts (N, 7)."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def roll_out(
         if not active:
             break
         poses = np.array([runs[i].poses[-1] for i in active])
-        actions = controller(poses)
+        actions = controller(poses, starts[active])
         reached = reached_poses(poses, task)[np.arange(len(active)), actions]
         broken = task.rule_broken(reached)
         at_goal = task.reached(reached)

@@ -26,7 +26,6 @@ class Variant:
     most_actions: int = ALL_TRIED
 
 
-NOT_LED: Final = "reward.lead_back_m=0.0"
 FORGETFUL: Final = ("feedback.extend=false", "feedback.remember_m=0.0")
 
 VARIANTS: Final = (
@@ -56,17 +55,9 @@ VARIANTS: Final = (
     Variant("one-sigma", ("trust=box", "trust.sigmas=1.0"), "trust within 1 σ of every component (D7)"),
     Variant("two-sigmas", ("trust=box", "trust.sigmas=2.0"), "trust within 2 σ (D7)"),
     Variant("three-sigmas", ("trust=box", "trust.sigmas=3.0"), "trust within 3 σ (D7)"),
-    # Led back to the demonstrations' mean, a model would be helped by what it does not know.
-    Variant("line", ("intent=line", NOT_LED), "a line fit instead of a Koopman model"),
-    Variant("paper-lift", ("intent=paper", NOT_LED), "the paper's lift, fitted as the paper does (D1–D3)"),
-    Variant(
-        "no-copies",
-        ("intent.stabilisation.copies=0", "intent.stabilisation.far_copies=0"),
-        "no made-up states (D2)",
-    ),
-    Variant("no-centring", ("reward.centring=0.0",), "the right action nearest to the prediction is best (D28)"),
-    Variant("not-led-back", (NOT_LED,), "predictions are not led back to the path (D33)"),
-    Variant("neither", ("reward.centring=0.0", NOT_LED), "neither centring nor leading back (D28, D33)"),
+    Variant("line", ("intent=line",), "a line fit instead of a Koopman model"),
+    Variant("paper-lift", ("intent=paper",), "the paper's lift, fitted as the paper does (D1–D3)"),
+    Variant("apart", ("intent=fourier",), "K_p and K_o apart, demonstrations surrounded one by one (D1, D2)"),
     Variant("raw-prediction", ("reward.prediction=raw",), "the raw prediction is compared (D4)"),
     Variant("sign", ("reward.shape=sign",), "rewards of one size (D5)"),
     Variant("no-doubt", ("reward.doubt=0.0",), "close comparisons count too (D6)"),

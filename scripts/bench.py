@@ -21,7 +21,6 @@ from koopdqn.commands.configuration import Configuration
 from koopdqn.config.resources import asset_path, conf_dir
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generator import generate
-from koopdqn.demonstrations.resample import shown_paths
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.replay import ReplayBuffer, Transitions
@@ -100,10 +99,8 @@ def learning_rows(config: Configuration) -> list[Row]:
         return fit(demonstrations, task, config.intent, config.trust)
 
     fitted = fitting()
-    trajectories = agent_steps(demonstrations, task)
-    reward = IntentReward(
-        task, fitted.model, fitted.trust, config.reward, shown_paths(trajectories, config.reward.centring_path)
-    )
+    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
+    reward = IntentReward(task, fitted.model, fitted.trust, config.reward)
     states = np.concatenate(trajectories)
     batch = states[np.random.default_rng(0).integers(len(states), size=agent.episodes_at_once)]
     item = demonstrations.items[0]
@@ -125,7 +122,9 @@ def learning_rows(config: Configuration) -> list[Row]:
     actions = np.tile(np.arange(COUNT), len(states))
     none = np.zeros(len(seen), dtype=np.int64)
     ones = np.ones(len(seen), np.float32)
-    replay.add(Transitions(seen, actions, ones, seen, flags, flags, actions < COUNT - 2, tried, none, none, none))
+    replay.add(
+        Transitions(seen, actions, ones, seen, flags, flags, actions < COUNT - 2, tried, tried, none, none, none)
+    )
     return [
         Row("five demonstrations", f"{median_seconds(make, 3):.2f} s", "on the arm, checked for collisions"),
         Row(

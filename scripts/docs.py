@@ -48,7 +48,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
 
 TASKS: Final = ("shelf", "knife")
 SEEDS: Final = (0, 1, 2)
-INTENTS: Final = ("fourier", "paper")
+INTENTS: Final = ("pose", "paper")
 
 _UNIT = re.compile(r"\s*\[([^\[\]]+)\]$")
 _SHAPE = re.compile(r"^(\([^)]*\)) ")

@@ -50,7 +50,6 @@ def measured(task: str, seed: int, part: Part) -> dict[str, Any]:
     from koopdqn.config.compose import composed
     from koopdqn.config.overrides import prepare
     from koopdqn.demonstrations.generator import generate
-    from koopdqn.demonstrations.resample import shown_paths
     from koopdqn.dqn.policy import Policy
     from koopdqn.environment.reward import IntentReward
     from koopdqn.evaluation.evaluate import evaluate
@@ -65,9 +64,8 @@ def measured(task: str, seed: int, part: Part) -> dict[str, Any]:
     workcell = stages.open_scene(config)
     demonstrations = generate(config.task, workcell.reachability, config.demo, seed).demonstrations
     fitted = fit(demonstrations, config.task, config.intent, config.trust)
-    trajectories = agent_steps(demonstrations, config.task)
-    path = shown_paths(trajectories, config.reward.centring_path)
-    reward = IntentReward(config.task, fitted.model, fitted.trust, config.reward, path)
+    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, config.task))
+    reward = IntentReward(config.task, fitted.model, fitted.trust, config.reward)
     oracle = ScriptedOracle(config.task)
     trainer = Trainer(workcell, reward, trajectories, oracle, config.agent, config.train, seed, config.feedback)
     part.change(trainer, trajectories)
@@ -77,7 +75,7 @@ def measured(task: str, seed: int, part: Part) -> dict[str, Any]:
     network = trainer.learner.policy_network
     report = evaluate(
         workcell,
-        Policy(network, config.task),
+        Policy(network, config.task, fitted.model.start_frame),
         fitted.model,
         fitted.trust,
         trajectories,

@@ -123,7 +123,9 @@ def _prefilled(trainer: Trainer, trajectories: list[Array]) -> None:
         steps = np.arange(len(states))
         judgement = trainer.feedback.judge(states, steps)
         rows, actions = np.nonzero(judgement.known)
-        tries = Tries(judgement, rows, actions, observe(states, task)[rows], states[rows], steps[rows])
+        # The states are told as from the nominal start already.
+        starts = np.tile(task.nominal_start, (len(rows), 1))
+        tries = Tries(judgement, rows, actions, observe(states, task)[rows], states[rows], starts, steps[rows])
         trainer.replay.add(tries.transitions(task, step_back=trainer.agent.step_back))
 
 

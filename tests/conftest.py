@@ -103,10 +103,7 @@ def fitted(demonstrations: "Demonstrations", parts: "Parts") -> "Fitted":
 
 
 @pytest.fixture(scope="session")
-def reward(parts: "Parts", fitted: "Fitted", trajectories: "list[Array]") -> "IntentReward":
-    from koopdqn.demonstrations.resample import shown_paths
+def reward(parts: "Parts", fitted: "Fitted") -> "IntentReward":
     from koopdqn.environment.reward import IntentReward
 
-    return IntentReward(
-        parts.task, fitted.model, fitted.trust, parts.reward, shown_paths(trajectories, parts.reward.centring_path)
-    )
+    return IntentReward(parts.task, fitted.model, fitted.trust, parts.reward)

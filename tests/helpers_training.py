@@ -67,7 +67,7 @@ def small_trainer(
 def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
     trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
-    return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
+    return IntentReward(reward.task, reward.model, trust, reward.settings)
 
 
 def assert_spends_its_budget(make: Callable[..., Trainer], clerk: Clerk, when_spent: str) -> Trainer:

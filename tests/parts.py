@@ -8,6 +8,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.artifact import described
+from koopdqn.config.folder import ensure_resolver
 from koopdqn.config.resources import conf_dir
 from koopdqn.config.settings import TARGET, load_settings, validate
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
@@ -44,6 +45,7 @@ def load_parts(*overrides: str) -> Parts:
     """Return the typed parts of the project's own config under overrides."""
     from hydra import compose, initialize_config_dir
 
+    ensure_resolver()
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         config = compose("config", overrides=list(overrides))
     return Parts(

@@ -11,8 +11,8 @@ from koopdqn.feedback.oracle import Answer, Oracle, Question
 
 def question(number: int) -> Question:
     rng = np.random.default_rng(number)
-    before, reached, predicted = rng.normal(size=(3, 7))
-    return Question(number // 3, number % 3, before, number % 10, reached, predicted, "far", candidates=None)
+    before, start, reached, predicted = rng.normal(size=(4, 7))
+    return Question(number // 3, number % 3, before, start, number % 10, reached, predicted, "far", candidates=None)
 
 
 class Reader(Oracle):

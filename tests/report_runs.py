@@ -21,7 +21,7 @@ from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.task import Task
 
 SHA = "0" * 64
-CAUSES = ("unreachable", "velocity_limit", "collision", "rule_broken", "stuck", "step_limit")
+CAUSES = ("unreachable", "posture_jump", "collision", "rule_broken", "stuck", "step_limit")
 
 
 def about(parts: Parts, seed: int) -> dict[str, Any]:
@@ -91,6 +91,7 @@ def method(mean: float) -> dict[str, Any]:
         "final_rotation_error_deg": summary,
         "path_length_ratio": 1.1,
         "steps": summary,
+        "time_stretch": {"mean": 1.0, "max": 1.5},
         "failures": {cause: int(cause == "collision") for cause in CAUSES},
         "turn": None,
         "blade_angle_final_deg": None,

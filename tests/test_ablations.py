@@ -107,9 +107,7 @@ def test_every_variant_is_a_valid_config_other_than_the_default(task: str, varia
 
     run = Run(task, variant, 0)
     changed, default = shape(run.overrides), shape([f"task={task}", "seed=0"])
-    # The knife does without centring and leading back anyway.
-    same_anyway = task == "knife" and variant.name in ("no-centring", "not-led-back", "neither")
-    assert (changed == default) == (variant.name == "default" or same_anyway)
+    assert (changed == default) == (variant.name == "default")
 
 
 def test_a_run_trains_then_evaluates_and_is_not_made_again(tmp_path: Path) -> None:

@@ -94,7 +94,10 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
         ("task.name=../x", "task.name: must match pattern"),
         ("task.target=os.system", "os has no class 'system'; valid: PathLike, stat_result"),
         ("task.target=nowhere.Task", "No module named 'nowhere'); the folder it lies in must be on PYTHONPATH"),
-        ("intent.observables.target=koopdqn.intent.observables.Nope", "has no class 'Nope'; valid: Affine"),
+        (
+            "intent=fourier intent.observables.target=koopdqn.intent.observables.Nope",
+            "has no class 'Nope'; valid: Affine",
+        ),
         ("robot.asset=ur5", "unknown asset 'ur5'; valid: ur5/"),
         ("robot.asset=ur5/README.md", "the scene of task shelf must compile in MuJoCo, which says: Start tag expected"),
         ("robot.flange_site=hand", "unknown site of ur5/ur5.xml 'hand'; valid: attachment_site"),
@@ -106,7 +109,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
     ],
 )
 def test_a_bad_setting_is_named_with_its_rule(capsys: pytest.CaptureFixture[str], override: str, expected: str) -> None:
-    assert expected in refused(capsys, "demo", override)
+    assert expected in refused(capsys, "demo", *override.split())
     assert not list(Path().rglob("demos.hdf5"))
 
 

@@ -15,7 +15,7 @@ def cloned(seed: int = 0, updates: int = 400) -> Imitator:
 
 def test_it_takes_the_demonstrated_actions_where_they_were_taken() -> None:
     shown = demonstrated_transitions(short().trajectories, short().cell.task)
-    agreed = (cloned().policy(shown.poses) == shown.actions).mean()
+    agreed = (cloned().policy(shown.poses, shown.starts) == shown.actions).mean()
     commonest = np.bincount(shown.actions).max() / len(shown.actions)
     assert agreed > max(0.95, commonest + 0.1)
 

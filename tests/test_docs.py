@@ -24,8 +24,8 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
 # Makes the README's example a matter of seconds; that whole tasks are learned is for test_learning.
 SHORT = (
     "demo.count=2",
-    "intent.observables.count=40",
-    "intent.stabilisation.copies=1",
+    "intent.count=40",
+    "intent.copies=2",
     "agent.warm_up=500",
     "train.check_every=10",
     "train.max_steps=3000",
@@ -252,7 +252,7 @@ def measured(seconds: float, mean: float) -> dict[str, Any]:
     return {
         "train": {**train, "reward_agreement": {"trusted": 0.99}},
         "eval": {**method, "baselines": {"greedy": method}},
-        "fit": {name: {**fit, "roll_out_error_m": rolled} for name in ("fourier", "paper")},
+        "fit": {name: {**fit, "roll_out_error_m": rolled} for name in ("pose", "paper")},
     }
 
 
@@ -264,4 +264,4 @@ def test_the_measured_tables_give_means_and_ranges(docs: ModuleType) -> None:
     assert policy == "| shelf | policy | 100.0% | 25.0 mm (20.0–30.0) | 12.5 mm (10.0–15.0) |"
     assert greedy == policy.replace("policy", "greedy")
     intent = docs.intent_table(runs).splitlines()[2]
-    assert intent == "| shelf | `intent=fourier` | 25.00 mm (20.00–30.00) | 8 of 10 | 50.0 mm (40.0–60.0) |"
+    assert intent == "| shelf | `intent=pose` | 25.00 mm (20.00–30.00) | 8 of 10 | 50.0 mm (40.0–60.0) |"

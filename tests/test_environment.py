@@ -22,7 +22,7 @@ Make = Callable[..., KoopmanEnvironment]
 def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
     trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
-    return IntentReward(reward.task, reward.model, trust, reward.settings, reward.path)
+    return IntentReward(reward.task, reward.model, trust, reward.settings)
 
 
 @pytest.fixture
@@ -159,15 +159,14 @@ def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward
         assert (first.episode, first.step, first.action) == (episode, 0, 4)
         assert (second.episode, second.step, second.action) == (episode, 1, 6)
         np.testing.assert_array_equal(first.pose, before)
+        np.testing.assert_array_equal([first.start, second.start], [before, before])
         np.testing.assert_array_equal(first.reached, second.pose)
         np.testing.assert_array_equal(first.predicted, reward.predicted(before[None])[0])
         assert "held-out error" in first.reason or "standard deviations" in first.reason
 
 
 def test_where_the_model_is_trusted_nobody_is_asked(workcell: Workcell, reward: IntentReward) -> None:
-    sure = IntentReward(
-        reward.task, reward.model, reward.trust, reward.settings.model_copy(update={"doubt": 0.0}), reward.path
-    )
+    sure = IntentReward(reward.task, reward.model, reward.trust, reward.settings.model_copy(update={"doubt": 0.0}))
     clerk = Clerk()
     environment = KoopmanEnvironment(workcell, sure, clerk, 100, 1)
     environment.reset()

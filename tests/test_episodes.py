@@ -4,15 +4,19 @@ import pytest
 from koopdqn import pose
 from koopdqn.environment.episodes import EpisodeBatch, StartSampler
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.workcell import Workcell
+
+SPREAD = (0.008, 0.05)
+"""Of starts along demonstrations: [m] and [rad]."""
 
 
 def sampler(workcell: Workcell, trajectories: list[Array], share: float, region: float = 0.0) -> StartSampler:
-    return StartSampler(workcell.task, workcell.reachability, trajectories, share, region, 1.0, 0.008, 40, 750)
+    return StartSampler(workcell.task, workcell.reachability, STILL, trajectories, share, region, 1.0, *SPREAD, 40, 750)
 
 
 def wide(workcell: Workcell, trajectories: list[Array], share: float, scale: float) -> StartSampler:
-    return StartSampler(workcell.task, workcell.reachability, trajectories, share, 1.0, scale, 0.008, 40, 750)
+    return StartSampler(workcell.task, workcell.reachability, STILL, trajectories, share, 1.0, scale, *SPREAD, 40, 750)
 
 
 def begun(starts: StartSampler, count: int, seed: int = 0) -> EpisodeBatch:
@@ -41,6 +45,32 @@ def test_exploring_episodes_are_short_and_lie_along_demonstrations(
         assert not in_region(workcell, batch.poses).all()
     else:
         assert in_region(workcell, batch.poses).all()
+
+
+def test_an_episode_that_begins_along_no_demonstration_began_where_it_is(
+    workcell: Workcell, trajectories: list[Array]
+) -> None:
+    batch = begun(sampler(workcell, trajectories, 0.5, 1.0), 20)
+    np.testing.assert_array_equal(batch.starts, batch.poses)
+
+
+def test_along_demonstrations_that_follow_their_start_it_lies_beside_them_as_its_start_does(
+    workcell: Workcell, trajectories: list[Array]
+) -> None:
+    task = workcell.task
+    frame = StartFrame(task.nominal_start[:3], task.goal[:3], follows=True)
+    placed = frame.each(trajectories)
+    spread = (1e-9, 0.05)
+    starts = StartSampler(task, workcell.reachability, frame, placed, 1.0, 0.0, 1.0, *spread, 40, 750)
+    batch = begun(starts, 40)
+    assert in_region(workcell, batch.starts).all()
+    assert not in_region(workcell, batch.poses).all()
+    shown = np.concatenate(placed)[:, :3]
+    gaps = []
+    for poses in (batch.poses, frame.placed(batch.poses, batch.starts)):
+        gaps.append(np.linalg.norm(poses[:, None, :3] - shown[None], axis=2).min(axis=1))
+    assert gaps[1].max() < 1e-7
+    assert np.median(gaps[0]) > 1e-3
 
 
 def test_shares_of_starts_are_as_said(workcell: Workcell, trajectories: list[Array]) -> None:
@@ -97,13 +127,12 @@ def test_moving_is_a_step_to_where_nothing_was_tried(workcell: Workcell, traject
     assert batch.tried.any(axis=1).tolist() == [False, True]
 
 
-def test_reopening_lets_the_episodes_at_a_pose_try_one_action_anew(
+def test_reopening_lets_the_episodes_that_are_there_try_one_action_anew(
     workcell: Workcell, trajectories: list[Array]
 ) -> None:
     batch = begun(sampler(workcell, trajectories, 0.0), 3)
-    batch.poses[2] = batch.poses[0]
     batch.tried[:], batch.stored[:] = True, True
-    batch.reopen(batch.poses[0].copy(), 6)
+    batch.reopen(np.array([True, False, True]), 6)
     for open_ in (~batch.tried, ~batch.stored):
         np.testing.assert_array_equal(np.argwhere(open_), [[0, 6], [2, 6]])
 

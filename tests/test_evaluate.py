@@ -95,7 +95,7 @@ def test_what_is_not_asked_for_is_null() -> None:
 
 
 def test_a_policy_that_never_succeeds_is_measured_too() -> None:
-    def turn_to_goal(poses: Array) -> np.ndarray:
+    def turn_to_goal(poses: Array, starts: Array) -> np.ndarray:
         return np.full(len(poses), 2)
 
     report = evaluated(SETTINGS.model_copy(update={"baselines": False}), turn_to_goal).report

@@ -54,7 +54,7 @@ def test_the_report_says_what_is_computed_by_hand_on_a_tiny_case(paper: Parts) -
 
 
 def test_the_spectral_radius_is_that_of_the_model(fitted: Fitted) -> None:
-    eigenvalues = np.linalg.eigvals(fitted.model.position.matrix)
+    eigenvalues = np.linalg.eigvals(fitted.model.matrices["K"].matrix)
     assert fitted.report["spectral_radius"] == pytest.approx(np.abs(eigenvalues).max(), rel=1e-12)
 
 
@@ -185,7 +185,7 @@ def test_progress_is_told_once_a_fold(paper: Parts) -> None:
 def test_the_same_demonstrations_give_the_same_fit(demonstrations: Demonstrations, parts: Parts) -> None:
     few = Demonstrations("shelf", "UR5", demonstrations.items[:2])
     one, two = (fit(few, parts.task, parts.intent, parts.trust) for _ in range(2))
-    np.testing.assert_array_equal(one.model.position.matrix, two.model.position.matrix)
+    np.testing.assert_array_equal(one.model.matrices["K"].matrix, two.model.matrices["K"].matrix)
     np.testing.assert_array_equal(one.trust.radius, two.trust.radius)
     assert one.report == two.report
 

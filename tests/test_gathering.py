@@ -41,7 +41,7 @@ from koopdqn.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
-NEAR_ONLY = {"least_reach_m": 0.005, "reach": 0.0}
+NEAR_ONLY = {"reach_m": 0.005}
 """A yes extends trust by two steps, so that an episode gathers several questions that it does not settle."""
 
 
@@ -71,10 +71,11 @@ def stored(trainer: Trainer, source: int) -> list[tuple[int, int, tuple[float, .
 
 def walk(trainer: Trainer, start: Array, count: int, action: int | None = None) -> list[Trial]:
     """Return trials of an action, or of the likeliest, one after another from a pose (7,) on."""
-    trials, pose = [], start
+    trials: list[Trial] = []
+    pose = start
     for step in range(count):
         judged = trainer.feedback.judge(pose[None], np.array([step]))
-        trials.append(Trial(3, step, pose, int(judged.margin[0].argmax()) if action is None else action))
+        trials.append(Trial(3, step, pose, start, int(judged.margin[0].argmax()) if action is None else action))
         pose = judged.reached[0, trials[-1].action]
     return trials
 
@@ -152,7 +153,7 @@ def test_a_skip_stores_nothing_and_the_next_is_asked(make: Make) -> None:
     steps = {asked.step for asked in clerk.asked}
     assert {0, 1, 2} <= steps
     assert {step % 2 for step, _, _ in stored(trainer, ASKED)} == {0}
-    silent = make(Clerk(lambda asked: None), train={"max_episodes": 20}, feedback=FORGETFUL)
+    silent = make(Clerk(lambda asked: None), train={"max_episodes": 20, "max_steps": 10**6}, feedback=FORGETFUL)
     silent.run()
     assert 20 <= len(silent.history.rewards) <= 24
     assert silent.history.judged[ASKED] == 0
@@ -169,7 +170,7 @@ def test_so_many_questions_end_an_episode(make: Make, most: int) -> None:
 
 def test_what_a_yes_settles_is_not_asked_but_stored(make: Make, trajectories: list[Array]) -> None:
     clerk = Clerk()
-    trainer = make(clerk, feedback={"least_reach_m": 0.02, "reach": 0.0})
+    trainer = make(clerk, feedback={"reach_m": 0.02})
     trials = walk(trainer, trajectories[0][60], 6)
     found = settle(trainer, trials)
     assert [asked.step for asked in clerk.asked] == [0]
@@ -180,6 +181,7 @@ def test_what_a_yes_settles_is_not_asked_but_stored(make: Make, trajectories: li
     for tries, trial in zip(found, trials, strict=True):
         assert tries.steps[0] == trial.step
         np.testing.assert_array_equal(tries.poses[0], trial.pose)
+        np.testing.assert_array_equal(tries.starts[0], trial.start)
         assert tries.actions[0] == trial.action
 
 
@@ -199,7 +201,7 @@ def test_only_questions_that_a_yes_would_not_settle_count(
     make: Make, trajectories: list[Array], reach: float, last: int
 ) -> None:
     """The second question of steps of 2.1 mm along one axis is the first beyond the reach of a yes to the first."""
-    trainer = make(feedback={"least_reach_m": reach, "reach": 0.0})
+    trainer = make(feedback={"reach_m": reach})
     trials = walk(trainer, trajectories[0][60], 4, 8)
     gathering = Gathering(Asking("episode", 2), trainer.feedback, 2)
     full = [gathering.add(1, trial) for trial in trials]
@@ -210,6 +212,7 @@ def test_only_questions_that_a_yes_would_not_settle_count(
     for one, two in zip(restored.take(1), trials, strict=True):
         assert (one.episode, one.step, one.action) == (two.episode, two.step, two.action)
         np.testing.assert_array_equal(one.pose, two.pose)
+        np.testing.assert_array_equal(one.start, two.start)
     assert gathering.take(1)
     assert len(restored.state()["rows"]) == 0, "what was taken is held no more"
 
@@ -296,7 +299,7 @@ def test_a_run_killed_with_questions_pending_or_replayed_ends_as_if_never_stoppe
 def test_a_question_says_its_place_to_people_and_programs(parts: Parts, make: Make, trajectories: list[Array]) -> None:
     trainer, point = make(), trajectories[0][60]
     judged = trainer.feedback.judge(point[None], np.array([7]))
-    asked = question_about(Trial(12, 7, point, 8), trainer.feedback.reward, judged, 0, Place(2, 5))
+    asked = question_about(Trial(12, 7, point, point, 8), trainer.feedback.reward, judged, 0, Place(2, 5))
     for place, said in ((Place(2, 5), "Question 2 of about 5 in the episode"), (None, "")):
         each = replace(asked, place=place)
         assert wording.place(each) == said
@@ -314,7 +317,7 @@ def test_the_longest_question_of_a_batch_fits_a_small_screen(
 ) -> None:
     trainer, point = make(), trajectories[0][60]
     judged = trainer.feedback.judge(point[None], np.array([107]))
-    plain = question_about(Trial(1234, 107, point, action), trainer.feedback.reward, judged, 0, Place(12, 15))
+    plain = question_about(Trial(1234, 107, point, point, action), trainer.feedback.reward, judged, 0, Place(12, 15))
     asked = replace(
         plain,
         reason="x is 14.1 standard deviations from the demonstrations (limit 3)",
@@ -343,7 +346,7 @@ def test_a_wrong_setting_is_told(
 
 
 def test_a_command_that_asks_at_episodes_ends_is_replayed_to_the_byte(tmp_path: Path) -> None:
-    asking = ("trust=box", "trust.sigmas=0.8", "feedback.least_reach_m=0.006", "feedback.reach=0.0")
+    asking = ("trust=box", "trust.sigmas=0.8", "feedback.reach_m=0.006")
     command = ["train", *SMALL, *asking, "oracle.ask=episode", "oracle.gather_most=4", "--json"]
     one, two, other = (tmp_path / name for name in ("one", "two", "other"))
     journal = one / "feedback.jsonl"

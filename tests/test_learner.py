@@ -33,6 +33,7 @@ def batch(seed: int, count: int = 32, **changes: np.ndarray) -> Transitions:
         "truncated": np.zeros(count, dtype=bool),
         "undone": np.zeros(count, dtype=bool),
         "poses": rng.normal(size=(count, 7)),
+        "starts": rng.normal(size=(count, 7)),
         "steps": np.arange(count),
         "sources": np.ones(count, dtype=np.int64),
         "answers": np.full(count, -1),

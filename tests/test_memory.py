@@ -9,7 +9,7 @@ from koopdqn.pose import Array
 
 NEAR, TURN, ACTIONS = 0.002, 0.05, 10
 MARGINS = [-0.6, -0.1, 0.0, 0.2, 0.7]
-SETTINGS = FeedbackSettings(remember_m=NEAR, remember_rad=TURN, extend=True, reach=0.7, least_reach_m=0.015)
+SETTINGS = FeedbackSettings(remember_m=NEAR, remember_rad=TURN, extend=True, reach_m=0.015)
 HERE = np.array([0.4, -0.2, 0.5, 1.0, 0.0, 0.0, 0.0])
 
 

@@ -31,7 +31,7 @@ def episode(poses: Array, outcome: str = SUCCESS) -> Episode:
 
 
 def measured(episodes: list[Episode], references: list[Array]) -> MethodReport:
-    return measure(episodes, references, shelf().task, taught().trust, 0.02)
+    return measure(episodes, references, shelf().task, taught().trust, taught().model.start_frame, shelf().reachability)
 
 
 @given(trials=st.integers(1, 400), data=st.data())

@@ -5,8 +5,8 @@ import torch
 from koopdqn.dqn.network import QNetwork
 from koopdqn.dqn.settings import NetworkSettings
 
-PLAIN = NetworkSettings(hidden=(6, 4), fourier_features=0, length_scale_m=0.1)
-WAVES = NetworkSettings(hidden=(6,), fourier_features=8, length_scale_m=0.1)
+PLAIN = NetworkSettings(hidden=(6, 4), fourier_features=0, length_scale_m=0.1, length_scale_rad=0.5)
+WAVES = NetworkSettings(hidden=(6,), fourier_features=8, length_scale_m=0.1, length_scale_rad=0.5)
 
 
 def network(settings: NetworkSettings, seed: int = 0, inputs: int = 5) -> QNetwork:
@@ -65,6 +65,21 @@ def test_the_features_follow_the_position_and_the_length_scale() -> None:
     names = {name for name, _ in fine.named_parameters()}
     assert "frequencies" not in names
     assert "phases" not in names
+
+
+def test_where_orientation_is_learned_the_features_follow_what_is_left_to_turn_too() -> None:
+    fine, coarse = (
+        network(WAVES.model_copy(update={"length_scale_rad": scale}), inputs=8).frequencies.numpy()
+        for scale in (0.01, 1.0)
+    )
+    assert fine.shape == (6, 8)
+    np.testing.assert_array_equal(fine[:3], coarse[:3])
+    np.testing.assert_allclose(fine[3:], 100 * coarse[3:], rtol=1e-5)
+    assert network(WAVES).frequencies.shape == (3, 8)
+    rows = torch.zeros(2, 8)
+    rows[1, 5] = 0.3
+    waves = network(WAVES, inputs=8).features(rows)[:, 8:]
+    assert (waves[0] != waves[1]).all()
 
 
 def test_each_row_is_valued_by_itself() -> None:

@@ -69,7 +69,7 @@ def test_such_a_task_cannot_be_demonstrated_by_script(logs: Path, capsys: pytest
 
 
 def test_fit_says_what_it_found_and_holds_the_last_out(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    short = ("intent.observables.count=40", "intent.stabilisation.copies=1")
+    short = ("intent.count=40", "intent.copies=2")
     assert cli.main(["fit", "task=demonstrated", "demos=log_*.csv", "out=fitted", *short]) == 0
     found = capsys.readouterr()
     for word in ("made from 2 demonstrations, 1 kept for evaluation", "start: around", "goal:", "step: 2.1 mm", "held"):
@@ -83,7 +83,7 @@ def test_fit_says_what_it_found_and_holds_the_last_out(logs: Path, capsys: pytes
 
 
 def test_training_and_evaluation_from_a_single_set_of_files(logs: Path, printed: Printed) -> None:
-    short = ("intent.observables.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
+    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
     assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)
     report = printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")
     assert report["path_deviation_mm"] == dict.fromkeys(("mean", "max", "p95_of_max", "frechet"))

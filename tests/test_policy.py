@@ -10,12 +10,14 @@ from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe
 from koopdqn.dqn.policy import Policy, read_policy, write_policy
 from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL, StartFrame
 
 
 @pytest.fixture
 def path(tmp_path: Path, parts: Parts) -> Path:
     written = tmp_path / "policy.safetensors"
-    write_policy(written, learner(parts).policy_arrays(), parts.agent.network, about(parts))
+    write_policy(written, learner(parts).policy_arrays(), parts.agent.network, STILL, about(parts))
     return written
 
 
@@ -31,10 +33,44 @@ def test_a_policy_comes_back_with_what_it_says_of_itself(path: Path, parts: Part
     policy, said = read_policy(path, parts.task)
     poses = parts.task.draw_starts(np.random.default_rng(1), 50)
     original = Policy(learner(parts).online, parts.task)
-    np.testing.assert_array_equal(policy.values(poses), original.values(poses))
-    np.testing.assert_array_equal(policy(poses), original(poses))
+    np.testing.assert_array_equal(policy.values(poses, poses), original.values(poses, poses))
+    np.testing.assert_array_equal(policy(poses, poses), original(poses, poses))
     assert said["seed"] == 0
     assert said["agent"] == described(parts.agent)
+    assert not policy.frame.follows
+
+
+def following(parts: Parts) -> StartFrame:
+    return StartFrame(parts.task.nominal_start[:3], parts.task.goal[:3], follows=True)
+
+
+def on_the_way(parts: Parts) -> tuple[Array, Array]:
+    """Poses between starts and the goal, and the starts."""
+    starts = parts.task.draw_starts(np.random.default_rng(1), 50)
+    poses = starts.copy()
+    poses[:, :3] += np.random.default_rng(2).uniform(size=(50, 1)) * (parts.task.goal[:3] - starts[:, :3])
+    return poses, starts
+
+
+def test_a_policy_that_follows_its_start_comes_back_with_its_frame(tmp_path: Path, parts: Parts) -> None:
+    frame, written = following(parts), tmp_path / "policy.safetensors"
+    write_policy(written, learner(parts).policy_arrays(), parts.agent.network, frame, about(parts))
+    policy, _ = read_policy(written, parts.task)
+    assert policy.frame.follows
+    np.testing.assert_array_equal(policy.frame.start, frame.start)
+    np.testing.assert_array_equal(policy.frame.goal, frame.goal)
+    poses, starts = on_the_way(parts)
+    original = Policy(learner(parts).online, parts.task, frame)
+    np.testing.assert_array_equal(policy.values(poses, starts), original.values(poses, starts))
+    np.testing.assert_array_equal(policy(poses, starts), original(poses, starts))
+
+
+def test_a_policy_that_follows_its_start_observes_poses_as_from_the_nominal_one(parts: Parts) -> None:
+    network, frame = learner(parts).online, following(parts)
+    poses, starts = on_the_way(parts)
+    values = Policy(network, parts.task, frame).values(poses, starts)
+    np.testing.assert_array_equal(values, network.values(observe(frame.placed(poses, starts), parts.task)))
+    assert not np.array_equal(values, Policy(network, parts.task).values(poses, starts))
 
 
 def test_it_is_the_argmax_of_the_values_on_the_observation_alone(parts: Parts) -> None:
@@ -42,14 +78,14 @@ def test_it_is_the_argmax_of_the_values_on_the_observation_alone(parts: Parts) -
     policy = Policy(network, parts.task)
     poses = parts.task.draw_starts(np.random.default_rng(1), 50)
     values = network.values(observe(poses, parts.task))
-    np.testing.assert_array_equal(policy(poses), values.argmax(axis=1))
-    assert policy(poses).shape == (50,)
-    assert len(set(policy(poses[:1]).tolist())) == 1
+    np.testing.assert_array_equal(policy(poses, poses), values.argmax(axis=1))
+    assert policy(poses, poses).shape == (50,)
+    assert len(set(policy(poses[:1], poses[:1]).tolist())) == 1
 
 
 def test_the_same_policy_gives_the_same_bytes(path: Path, parts: Parts) -> None:
     other = path.with_name("again.safetensors")
-    write_policy(other, learner(parts).policy_arrays(), parts.agent.network, about(parts))
+    write_policy(other, learner(parts).policy_arrays(), parts.agent.network, STILL, about(parts))
     assert other.read_bytes() == path.read_bytes()
 
 
@@ -73,7 +109,7 @@ def test_arrays_edited_by_hand_are_refused(path: Path, parts: Parts) -> None:
 
 def test_arrays_that_do_not_fit_the_settings_are_refused(path: Path, parts: Parts) -> None:
     narrower = parts.agent.network.model_copy(update={"hidden": (3,)})
-    write_policy(path, learner(parts).policy_arrays(), narrower, about(parts))
+    write_policy(path, learner(parts).policy_arrays(), narrower, STILL, about(parts))
     with pytest.raises(BadInputError, match="must hold the arrays of its own settings") as caught:
         read_policy(path, parts.task)
     assert "\n" not in str(caught.value)

@@ -94,9 +94,10 @@ def test_the_goal_is_the_mean_of_the_ends_whatever_their_quaternions_signs() -> 
     goal = goal_of(items)
     np.testing.assert_allclose(goal[:3], arc()[-1, :3] + [0.01, 0.0, 0.0])
     assert pose.rotation_distance(goal, arc()[-1]) < 1e-9
-    assert check_position(items, goal, 0.011) == pytest.approx(0.01)
-    with pytest.raises(BadInputError, match=r"task.end_spread_m = 0.009 m.*found 0.010 m"):
-        check_position(items, goal, 0.009)
+    # The way from start to end is 0.2·√2 m.
+    assert check_position(items, goal, 0.011 / 0.283) == pytest.approx(0.01)
+    with pytest.raises(BadInputError, match=r"task.end_spread = 0.03 times the median way of 0.283 m.*found 0.010 m"):
+        check_position(items, goal, 0.03)
 
 
 def test_ends_turned_apart_are_refused() -> None:

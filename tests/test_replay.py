@@ -21,6 +21,7 @@ def numbered(numbers: list[int]) -> Transitions:
         truncated=n % 3 == 0,
         undone=n % 5 == 0,
         poses=np.repeat(n[:, None] / 8, 7, axis=1),
+        starts=np.repeat(n[:, None] / 16, 7, axis=1),
         steps=n + 1,
         sources=n % 4,
         answers=n - 3,

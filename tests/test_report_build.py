@@ -111,7 +111,7 @@ def test_every_link_of_the_page_leads_to_a_file(built: Built) -> None:
 
 
 def test_the_fits_that_tables_quote_are_kept(built: Built) -> None:
-    for name in ("paper", "fourier", "line", "joint"):
+    for name in ("paper", "pose", "line", "joint"):
         kept = json.loads((built.folder / "fits" / f"shelf-{name}.json").read_text())
         assert kept["fit"]["intent"] == name
         assert len(kept["held_out"]["sixty_samples_error_m"]) == 59

@@ -153,4 +153,4 @@ def test_a_run_of_no_preset_is_left_out(
     write_run(tmp_path / "mixed", replace(parts, agent=paper.agent), demonstrations)
     groups, [left_out] = group_runs(find_runs([tmp_path])[0], presets)
     assert groups == {}
-    assert "agent paper, intent fourier" in left_out.reason
+    assert "agent paper, intent pose" in left_out.reason

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import between, shown_paths, to_count, to_step
+from koopdqn.demonstrations.resample import between, to_count, to_step
 from koopdqn.pose import Array
 
 STEP, TURN = 0.0021, 0.05
@@ -103,21 +103,3 @@ def test_evenly_along_a_line_or_a_turn() -> None:
     np.testing.assert_allclose(pose.position_distance(line[1:], line[:-1]), 0.1, atol=1e-9)
     turn = to_count(pose.make(np.zeros((5, 3)), pose.from_rotation_vector(uneven * [0.2, 0, 0])), 6)
     np.testing.assert_allclose(pose.rotation_distance(turn[1:], turn[:-1]), 0.04, atol=1e-4)
-
-
-@pytest.mark.parametrize("apart", [0.004, 0.02])
-def test_the_mean_path_has_the_spread_of_what_it_is_the_mean_of(apart: float) -> None:
-    along = np.linspace(0, 1, 101)
-    sides = apart * np.maximum(1.0 - 2.0 * along, 0.0)
-    pair = [pose.make(np.stack([along, side * sides, 0 * along], axis=1), [1.0, 0, 0, 0]) for side in (-1, 1)]
-    paths = shown_paths(pair, "mean")
-    assert paths.spread is not None
-    assert len(paths.spread) == len(paths.paths[0].points)
-    np.testing.assert_allclose(paths.foot([[-1.0, 0, 0], [0.25, 0.1, 0]])[2], [apart, apart / 2], atol=1e-4)
-    np.testing.assert_allclose(paths.foot([[0.7, 0, 0], [2.0, 0, 0]])[2], 0.0, atol=5e-4)
-
-
-def test_demonstrations_that_count_each_for_itself_have_no_spread() -> None:
-    along = np.linspace(0, 1, 11)
-    pair = [pose.make(np.stack([along, side + 0 * along, 0 * along], axis=1), [1.0, 0, 0, 0]) for side in (-1, 1)]
-    np.testing.assert_array_equal(shown_paths(pair, "nearest").foot([[0.0, 0, 0], [0.5, 1, 0]])[2], 0.0)

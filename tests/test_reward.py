@@ -11,16 +11,12 @@ from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
-from koopdqn.tasks.path import PathSet
+from koopdqn.tasks.start_frame import StartFrame
 
 SIGN = RewardSettings(
     shape="sign",
     prediction="rescaled",
     doubt=0.0,
-    centring=0.0,
-    centring_path="mean",
-    centring_within_m=0.01,
-    lead_back_m=0.0,
     size=1.0,
     goal=0.0,
 )
@@ -28,7 +24,7 @@ AXES = np.array([4, 5, 6, 7, 8, 9])
 
 
 def reward_with(base: IntentReward, **fields: object) -> IntentReward:
-    return IntentReward(base.task, base.model, base.trust, base.settings.model_copy(update=fields), base.path)
+    return IntentReward(base.task, base.model, base.trust, base.settings.model_copy(update=fields))
 
 
 def beside(trajectories: list[Array], seed: int, count: int, spread: float) -> tuple[Array, np.ndarray]:
@@ -61,7 +57,7 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
     reward: IntentReward, trajectories: list[Array], seed: int, spread: float, size: float
 ) -> None:
     poses, steps = beside(trajectories, seed, 20, spread)
-    signed = reward_with(reward, shape="sign", centring=0.0, size=size, goal=0.0).judge(poses, steps).reward
+    signed = reward_with(reward, shape="sign", size=size, goal=0.0).judge(poses, steps).reward
     margin = reward_with(reward, shape="margin", size=size, goal=0.0).judge(poses, steps).reward
     np.testing.assert_array_equal(margin >= 0, signed >= 0)
     assert np.abs(margin).max() <= size
@@ -70,7 +66,7 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
 
 def test_a_larger_margin_is_nearer_to_the_prediction(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 0, 30, 0.002)
-    judged = reward_with(reward, shape="margin", centring=0.0, goal=0.0).judge(poses, steps)
+    judged = reward_with(reward, shape="margin", goal=0.0).judge(poses, steps)
     distance = pose.position_distance(judged.reached, judged.predicted[:, None])
     for row in range(len(poses)):
         order = np.argsort(distance[row, AXES])
@@ -109,9 +105,7 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
 ) -> None:
     settings_ = reward.trust.settings.model_copy(update={"needs": needs})
     trust = replace(reward.trust, settings=settings_, radius=0.6 * reward.trust.radius)
-    judged = IntentReward(reward.task, reward.model, trust, SIGN, reward.path).judge(
-        *(data := beside(trajectories, 3, 200, 0.012))
-    )
+    judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
     poses, steps = data
     here = trust.inside(poses, steps)
     there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
@@ -119,6 +113,32 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
     trusted = judged.source[:, AXES] == TRUSTED
     np.testing.assert_array_equal(trusted, wanted[:, AXES])
     assert (there & ~here[:, None])[:, AXES].any(), "some case must tell the two apart"
+
+
+def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_start(
+    reward: IntentReward, trajectories: list[Array]
+) -> None:
+    frame = StartFrame(reward.task.nominal_start[:3], reward.task.goal[:3], follows=True)
+    model = reward.model.within(frame)
+    following = IntentReward(reward.task, model, reward.trust, SIGN)
+    poses, steps = beside(trajectories, 7, 200, 0.004)
+    starts = reward.task.draw_starts(np.random.default_rng(7), len(poses))
+    judged = following.judge(poses, steps, starts)
+    np.testing.assert_array_equal(judged.reached, reached_poses(poses, reward.task))
+    np.testing.assert_array_equal(judged.placed, frame.placed(poses, starts))
+    np.testing.assert_array_equal(judged.placed_reached, frame.placed(judged.reached, starts[:, None]))
+    wished = model.to_step(poses, model.intended(poses, starts), reward.task.step_m)
+    np.testing.assert_allclose(judged.predicted, wished, atol=1e-12)
+    here = reward.trust.inside(judged.placed, steps)
+    there = [reward.trust.inside(judged.placed_reached[:, action], steps + 1) for action in AXES]
+    trusted = judged.source[:, AXES] == TRUSTED
+    np.testing.assert_array_equal(trusted, np.stack(there, axis=1) & here[:, None])
+    assert not np.array_equal(here, reward.trust.inside(poses, steps)), "some start must tell the two apart"
+    # From the nominal start itself nothing is moved.
+    nominal = following.judge(poses, steps, np.repeat(reward.task.nominal_start[None], len(poses), axis=0))
+    plain = following.judge(poses, steps)
+    for name in ("predicted", "reward", "margin", "placed_reached"):
+        np.testing.assert_allclose(getattr(nominal, name), getattr(plain, name), atol=1e-9)
 
 
 class _Recording(Tube):
@@ -135,9 +155,7 @@ ASKED_STEPS: list[tuple[int, np.ndarray]] = []
 def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, trajectories: list[Array]) -> None:
     recording = _Recording(**{name: getattr(reward.trust, name) for name in reward.trust.__dataclass_fields__})
     ASKED_STEPS.clear()
-    IntentReward(reward.task, reward.model, recording, SIGN, reward.path).judge(
-        trajectories[0][[3, 40]], np.array([3, 40])
-    )
+    IntentReward(reward.task, reward.model, recording, SIGN).judge(trajectories[0][[3, 40]], np.array([3, 40]))
     by_count = dict(ASKED_STEPS)
     assert by_count.keys() == {2, 20}
     np.testing.assert_array_equal(by_count[2], [3, 40])
@@ -185,111 +203,3 @@ def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, traje
     for rows in trajectories[:2]:
         judged = reward.judge(rows[:-2], np.arange(len(rows) - 2))
         assert (judged.reward >= 0).any(axis=1).all()
-
-
-@settings(max_examples=25)
-@given(seed=st.integers(0, 1000), spread=st.floats(0, 0.03), shape=st.sampled_from(["sign", "margin"]))
-def test_centring_changes_no_sign_and_no_wrong_actions_reward(
-    reward: IntentReward, trajectories: list[Array], seed: int, spread: float, shape: str
-) -> None:
-    poses, steps = beside(trajectories, seed, 20, spread)
-    plain = reward_with(reward, shape=shape, centring=0.0, goal=0.0).judge(poses, steps)
-    centred = reward_with(reward, shape=shape, centring=1.0, goal=0.0).judge(poses, steps)
-    np.testing.assert_array_equal(plain.reward >= 0, centred.reward >= 0)
-    wrong = plain.reward < 0
-    np.testing.assert_array_equal(plain.reward[wrong], centred.reward[wrong])
-    assert np.abs(centred.reward).max() <= 1.0
-    for name in ("known", "source", "margin"):
-        np.testing.assert_array_equal(getattr(plain, name), getattr(centred, name))
-
-
-def test_near_the_mean_path_a_right_action_that_comes_nearer_to_it_gets_more(
-    reward: IntentReward, trajectories: list[Array]
-) -> None:
-    poses, steps = beside(trajectories, 4, 200, 0.003)
-    judged = reward_with(reward, shape="sign", centring=0.9, goal=0.0).judge(poses, steps)
-    aside = reward.path.distance(judged.reached.reshape(-1, 7)[:, :3]).reshape(judged.reward.shape)
-    told_apart = 0
-    for row in range(len(poses)):
-        right = np.flatnonzero(judged.margin[row] >= 0)
-        order = right[np.argsort(aside[row, right])]
-        assert np.all(np.diff(judged.reward[row, order]) <= 1e-12)
-        told_apart += int(np.ptp(judged.reward[row, right]) > 0.1) if len(right) > 1 else 0
-    assert told_apart > 20
-
-
-def test_far_from_the_mean_path_centring_vanishes(reward: IntentReward, trajectories: list[Array]) -> None:
-    poses, steps = beside(trajectories, 5, 200, 0.01)
-    plain = reward_with(reward, centring=0.0, lead_back_m=0.0, goal=0.0).judge(poses, steps).reward
-    changes = {"centring": 0.9, "centring_within_m": 0.002, "lead_back_m": 0.0, "goal": 0.0}
-    narrow = reward_with(reward, **changes).judge(poses, steps).reward
-    far = reward.path.distance(poses[:, :3]) > 0.016
-    assert 20 < far.sum() < len(poses)
-    np.testing.assert_allclose(narrow[far], plain[far], atol=1e-12)
-    assert np.abs(narrow - plain)[~far].max() > 0.1
-
-
-@settings(max_examples=25)
-@given(seed=st.integers(0, 1000), lead_back=st.floats(0.002, 0.05), prediction=st.sampled_from(["raw", "rescaled"]))
-def test_leading_back_turns_a_prediction_toward_the_path_and_keeps_its_length_and_turn(
-    reward: IntentReward, trajectories: list[Array], seed: int, lead_back: float, prediction: str
-) -> None:
-    poses, _ = beside(trajectories, seed, 30, 0.006)
-    plain = reward_with(reward, prediction=prediction, lead_back_m=0.0).predicted(poses)
-    led = reward_with(reward, prediction=prediction, lead_back_m=lead_back).predicted(poses)
-    moved, turned = plain[:, :3] - poses[:, :3], led[:, :3] - poses[:, :3]
-    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(moved, axis=1), atol=1e-12)
-    np.testing.assert_array_equal(plain[:, 3:], led[:, 3:])
-    aside = reward.path.foot(poses[:, :3])[1] - poses[:, :3]
-    along = moved / np.linalg.norm(moved, axis=1, keepdims=True)
-    across = aside - (aside * along).sum(axis=1, keepdims=True) * along
-    # Never away from the path, and in the plane of the prediction and the way back.
-    assert ((turned * across).sum(axis=1) >= -1e-12).all()
-    assert ((turned * along).sum(axis=1) > 0).all()
-
-
-def test_so_far_from_the_path_as_it_says_it_leads_back_at_45_degrees(
-    reward: IntentReward, trajectories: list[Array]
-) -> None:
-    (path,) = reward.path.paths
-    position = path.points[len(path.points) // 2]
-    start = pose.make(position, trajectories[0][0, 3:])
-    motion = reward.predicted(start[None])[0, :3] - position
-    across = np.cross(motion, [0.3, -0.2, 0.9])
-    beside_it = pose.make(position + 0.004 * across / np.linalg.norm(across), start[3:])[None]
-    nearest = reward.path.foot(beside_it[:, :3])[1][0] - beside_it[0, :3]
-    settings = {"lead_back_m": float(np.linalg.norm(nearest)), "centring_within_m": 10.0}
-    plain = reward_with(reward, lead_back_m=0.0).predicted(beside_it)[0, :3] - beside_it[0, :3]
-    led = reward_with(reward, **settings).predicted(beside_it)[0, :3] - beside_it[0, :3]
-    along = plain / np.linalg.norm(plain)
-    across = nearest - (nearest @ along) * along
-    # Its lean is the distance across over lead_back, which is 1 where the way back is square to the prediction.
-    lean = np.linalg.norm(led - (led @ along) * along) / (led @ along)
-    assert lean == pytest.approx(np.linalg.norm(across) / np.linalg.norm(nearest), rel=1e-3)
-    assert lean > 0.9
-
-
-def test_where_the_demonstrations_disagree_their_mean_neither_centres_nor_leads_back(
-    reward: IntentReward, trajectories: list[Array]
-) -> None:
-    poses, steps = beside(trajectories, 6, 200, 0.004)
-    neither = {"lead_back_m": 0.0, "centring": 0.0, "goal": 0.0}
-    plain = reward_with(reward, **neither).judge(poses, steps).reward
-    for one in ({"lead_back_m": 0.005}, {"centring": 0.9}):
-        base = reward_with(reward, **{**neither, **one})
-        for apart, counts in ((0.0, True), (1.0, False)):
-            path = PathSet(base.path.paths, np.full(len(base.path.paths[0].points), apart))
-            found = IntentReward(base.task, base.model, base.trust, base.settings, path)
-            same = np.allclose(found.judge(poses, steps).reward, plain, atol=1e-12)
-            assert same != counts
-
-
-def test_far_from_the_path_and_at_the_goal_nothing_leads_back(reward: IntentReward, trajectories: list[Array]) -> None:
-    led = reward_with(reward, lead_back_m=0.005, centring_within_m=0.002)
-    poses, _ = beside(trajectories, 5, 200, 0.01)
-    far = reward.path.distance(poses[:, :3]) > 0.016
-    assert far.sum() > 20
-    plain = reward_with(reward, lead_back_m=0.0)
-    np.testing.assert_allclose(led.predicted(poses)[far], plain.predicted(poses)[far], atol=1e-12)
-    goal = reward.task.goal[None]
-    np.testing.assert_array_equal(led.predicted(goal), plain.predicted(goal))

@@ -13,7 +13,7 @@ from koopdqn.workcell import Workcell
 
 
 def question(at: Array, action: int, reached: Array) -> Question:
-    return Question(0, 0, at, action, reached, reached, "")
+    return Question(0, 0, at, at, action, reached, reached, "")
 
 
 def test_it_says_right_where_the_demonstrator_would_be_within_tolerance(shelf_task: ShelfTask) -> None:

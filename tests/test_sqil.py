@@ -31,7 +31,7 @@ def test_half_of_a_batch_is_demonstrated_and_only_that_half_is_rewarded_for_its_
 
 def test_it_comes_to_prefer_the_demonstrated_actions_where_they_were_taken() -> None:
     shown = demonstrated_transitions(short().trajectories, short().cell.task)
-    agreed = (begun().run(6000).policy(shown.poses) == shown.actions).mean()
+    agreed = (begun().run(6000).policy(shown.poses, shown.starts) == shown.actions).mean()
     assert agreed > np.bincount(shown.actions).max() / len(shown.actions) + 0.1
 
 

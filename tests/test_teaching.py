@@ -20,7 +20,7 @@ if sys.platform == "win32":
 # A narrow trust domain, and answers that hold close by only, leave some dozens of questions at most; from farther out
 # than the start region there would be many more.
 NARROW = ("trust=box", "trust.sigmas=0.8", "agent.exploring_scale=1.0")
-ASKING = (*SMALL, *NARROW, "feedback.least_reach_m=0.006", "feedback.reach=0.0")
+ASKING = (*SMALL, *NARROW, "feedback.reach_m=0.006")
 WHOLE = ("task=shelf", "seed=0")
 RESTORED = re.compile(rb"\x1b\[\?25h\x1b\[\?1049l")
 

@@ -26,6 +26,7 @@ def asked(parts: Parts) -> Question:
         12,
         40,
         start,
+        start,
         6,
         candidates[6],
         candidates[1],

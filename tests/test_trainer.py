@@ -9,6 +9,7 @@ import pytest
 from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_trainer, untrusting
 from parts import Clerk, Parts
 
+from koopdqn.dqn.observation import observe
 from koopdqn.dqn.policy import Policy
 from koopdqn.environment.reward import ASKED, TRUSTED, IntentReward
 from koopdqn.feedback.journal import JournalledOracle
@@ -17,6 +18,7 @@ from koopdqn.feedback.records import read_lines
 from koopdqn.feedback.scripted import ScriptedOracle, demonstrator_agrees
 from koopdqn.pose import Array
 from koopdqn.rollout import STUCK, SUCCESS, Episode, roll_out
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.training.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
 from koopdqn.training.history import Check
 from koopdqn.training.trainer import Trainer
@@ -37,7 +39,7 @@ def make(parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: l
 def half_trusting(reward: IntentReward) -> IntentReward:
     """The same reward with a narrow trust domain, so that some things are known and some must be asked."""
     narrow = replace(reward.trust, radius=0.5 * reward.trust.radius)
-    return IntentReward(reward.task, reward.model, narrow, reward.settings, reward.path)
+    return IntentReward(reward.task, reward.model, narrow, reward.settings)
 
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -74,6 +76,33 @@ def test_a_run_restored_at_a_check_ends_as_one_that_was_never_stopped(
     assert rest.history.checks == saved
     rest.run()
     assert_same_run(rest, whole)
+
+
+def test_where_people_follow_their_start_the_agent_sees_poses_as_from_the_nominal_one(
+    make: Make, workcell: Workcell, reward: IntentReward
+) -> None:
+    task = workcell.task
+    frame = StartFrame(task.nominal_start[:3], task.goal[:3], follows=True)
+    following = IntentReward(task, reward.model.within(frame), reward.trust, reward.settings)
+    clerk = Clerk()
+    trainer = make(clerk, judged_by=untrusting(following), agent={"replay": 10_000}, train={"max_steps": 300})
+    trainer.run()
+    assert trainer.policy.frame is frame
+    held = trainer.replay.held()
+    placed = frame.placed(held.poses, held.starts)
+    np.testing.assert_array_equal(held.observations, observe(placed, task))
+    assert np.abs(placed - held.poses).max() > 1e-3
+    batch = trainer._batch
+    np.testing.assert_array_equal(trainer._judge().placed, frame.placed(batch.poses, batch.starts))
+    begun = [asked for asked in clerk.asked if asked.step == 0]
+    assert begun
+    for asked in clerk.asked:
+        first = next(each for each in clerk.asked if each.episode == asked.episode)
+        np.testing.assert_array_equal(asked.start, first.start)
+    arrays, about = trainer.state()
+    again = make(Clerk(), judged_by=untrusting(following), agent={"replay": 10_000}, train={"max_steps": 300})
+    again.restore(arrays, json.loads(json.dumps(about)))
+    assert_same_run(again, trainer)
 
 
 def test_the_same_seed_gives_the_same_run_and_another_seed_another(make: Make) -> None:

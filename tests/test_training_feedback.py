@@ -59,7 +59,9 @@ class Scripted(Clerk):
 
 
 def question_at(judged: Judgement, point: Array, action: int) -> Question:
-    return Question(0, 0, point.copy(), action, judged.reached[0, action].copy(), judged.predicted[0].copy(), "")
+    return Question(
+        0, 0, point.copy(), point.copy(), action, judged.reached[0, action].copy(), judged.predicted[0].copy(), ""
+    )
 
 
 def ask(trainer: Trainer, point: Array, action: int) -> bool | None:
@@ -330,7 +332,7 @@ def test_a_killed_run_with_answers_remembered_extended_and_withdrawn_goes_on_as_
     settings: dict[str, Any] = {
         "agent": {"updates_per_round": 1, "warm_up": 20},
         "train": {"check_every": 20, "max_steps": 700},
-        "feedback": {"least_reach_m": 0.003, "reach": 0.0},
+        "feedback": {"reach_m": 0.003},
     }
     journal = tmp_path / "whole.jsonl"
     whole = make(JournalledOracle(undoing(workcell), journal, 0), **settings)
@@ -359,7 +361,7 @@ def test_a_killed_run_with_answers_remembered_extended_and_withdrawn_goes_on_as_
 def test_a_run_with_a_noisy_oracle_is_fixed_by_its_seeds(make: Make, workcell: Workcell, tmp_path: Path) -> None:
     def run(name: str, seed: int) -> Trainer:
         noisy = ImperfectOracle(ScriptedOracle(workcell.task), wrong=0.2, silent=0.1, seed=seed)
-        trainer = make(JournalledOracle(noisy, tmp_path / name, 0), feedback={"least_reach_m": 0.003, "reach": 0.0})
+        trainer = make(JournalledOracle(noisy, tmp_path / name, 0), feedback={"reach_m": 0.003})
         trainer.run()
         return trainer
 

@@ -5,10 +5,15 @@ from pathlib import Path
 
 from koopdqn import console
 from koopdqn.commands.configuration import Configuration
-from koopdqn.demonstrations.derivation import Derivation
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.derivation import Derivation, Derived
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.placement import found_placement
 from koopdqn.demonstrations.reading import read_demonstrations
+from koopdqn.environment.reachability import Reachability
 from koopdqn.errors import BadInputError
+from koopdqn.intent.fitting import agent_steps
+from koopdqn.robot.scene import build_scene
 
 DEMONSTRATIONS = "demos.hdf5"
 
@@ -18,8 +23,8 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
 
     Args:
         config: the config.
-        folder: whose ``demos.hdf5`` holds the demonstrations as they were read, the ones kept for evaluation
-            marked.
+        folder: whose ``demos.hdf5`` holds the demonstrations as they were read, and moved if that was asked for, the
+            ones kept for evaluation marked.
         keep: whether to write that file if there is none.
 
     Raises:
@@ -37,11 +42,27 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
         )
     read = read_demonstrations(sources, recipe.name, config.robot.name, any_task=True)
     read = replace(read, held_out=recipe.kept_of(len(read)))
+    derived = recipe.derive(read)
+    if recipe.place == "auto" and read.placement is None:
+        read, derived = _placed(config, recipe, read, derived)
+    if read.placement is not None:
+        console.note(f"task {recipe.name}: demonstrations {read.placement}")
     if kept.exists() and read_hdf5(kept).digest() != read.digest():
         raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
-    derived = recipe.derive(read)
     for line in derived.notes:
         console.note(f"task {recipe.name}: {line}")
     if keep and not kept.exists():
         write_hdf5(kept, read)
     return replace(config, derived=derived)
+
+
+def _placed(
+    config: Configuration, recipe: Derivation, read: Demonstrations, derived: Derived
+) -> tuple[Demonstrations, Derived]:
+    """Return demonstrations moved to where the arm can follow them, and the task made from them."""
+    task = derived.task
+    aside = agent_steps(replace(derived.training, items=derived.held_out), task) if derived.held_out else []
+    reachability = Reachability(config.robot, build_scene(task, config.robot), config.robot.step_seconds)
+    placement = found_placement(reachability, [*task.trajectories, *aside])
+    moved = placement.moved(read)
+    return moved, recipe.derive(moved)

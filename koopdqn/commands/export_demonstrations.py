@@ -18,6 +18,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if sources is None:
         raise BadInputError("demos: must name the files to export (one, several in brackets, or a glob), found none")
     demonstrations = read_demonstrations(sources, config.chosen.name, config.robot.name, any_task=True)
+    if demonstrations.placement is not None:
+        console.note(f"moved back to where they were recorded: they had been {demonstrations.placement}")
+        demonstrations = demonstrations.placement.undone(demonstrations)
     path = folder / CSV
     write_csv(path, demonstrations.items, config.export.rotation)
     if any(item.joints is not None for item in demonstrations.items):

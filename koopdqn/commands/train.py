@@ -8,7 +8,6 @@ from typing import Any
 from koopdqn import console
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
-from koopdqn.demonstrations.resample import shown_paths
 from koopdqn.dqn.memory import check_memory
 from koopdqn.dqn.observation import size
 from koopdqn.dqn.policy import write_policy
@@ -45,16 +44,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     answered = 0 if checkpoint is None else int(checkpoint.arrays["feedback/questions"])
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
     oracle = JournalledOracle(config.oracle.open(workcell, config.inputs.seed, folder), folder / JOURNAL, answered)
-    trajectories = agent_steps(demonstrations, config.task)
+    trajectories = intent.model.start_frame.each(agent_steps(demonstrations, config.task))
     trainer = Trainer(
         workcell,
-        IntentReward(
-            config.task,
-            intent.model,
-            intent.trust,
-            config.reward,
-            shown_paths(trajectories, config.reward.centring_path),
-        ),
+        IntentReward(config.task, intent.model, intent.trust, config.reward),
         trajectories,
         oracle,
         config.agent,
@@ -69,7 +62,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
     _learn(trainer, oracle, folder, shaped_by, began - before, bar=not config.oracle.shows_progress)
     seconds = before + monotonic() - began
-    write_policy(folder / POLICY, trainer.best, config.agent.network, shaped_by)
+    write_policy(folder / POLICY, trainer.best, config.agent.network, intent.model.start_frame, shaped_by)
     report = train_report(config, trainer, seconds, made_from)
     write_json(folder / REPORT, report)
     plot_training(folder / "train.png", trainer.history, report)

@@ -3,12 +3,16 @@
 import contextlib
 import itertools
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from koopdqn.errors import BadInputError
 
 RESOLVER = "new_folder"
 """Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
+PER_TASK = "per_task"
+"""Name of the OmegaConf resolver ``${per_task:NAME,USUAL,{OTHER: VALUE}}``: Appendix 7.1 gives some tasks their own."""
 FREE_RESOLVER = "free_folder"
 """Name of the OmegaConf resolver ``${free_folder:…}`` that conf/ puts around the run folder's default name."""
 
@@ -26,8 +30,13 @@ def register_resolver(*, check: bool) -> None:
     """
     from omegaconf import OmegaConf
 
+    OmegaConf.register_new_resolver(PER_TASK, _per_task, replace=True)
     for name, resolver in ((RESOLVER, _checked), (FREE_RESOLVER, _taken)):
         OmegaConf.register_new_resolver(name, resolver if check else str, replace=True, use_cache=True)
+
+
+def _per_task(name: str, usual: Any, others: Mapping[str, Any]) -> Any:
+    return others.get(name, usual)
 
 
 def ensure_resolver() -> None:

@@ -17,7 +17,7 @@ _PLAIN_VALUE: Final = re.compile(r"[A-Za-z0-9_./-]*")
 _NUMBER_OR_BOOLEAN: Final = re.compile(r"-?[\d._]*\d[\d._]*(e-?\d+)?|-?inf|nan|true|false", re.IGNORECASE)
 """Values that Hydra reads as something else than a text."""
 _INTENT_SUFFIXES: Final = (".npz", ".safetensors")
-_SHORT_NAMES: Final = {"journal": "oracle.journal", "source": "demo.source"}
+_SHORT_NAMES: Final = {"journal": "oracle.journal", "source": "demo.source", "demos.place": "task.place"}
 _RECORD: Final = Path(".hydra") / "overrides.yaml"
 _OWN_KEYS: Final = ("command", "out", "run")
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
@@ -44,7 +44,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
-    - ``journal=FILE`` becomes ``oracle.journal=FILE`` and ``source=WHO`` becomes ``demo.source=WHO``.
+    - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO`` and
+      ``demos.place=`` becomes ``task.place=``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones

@@ -3,12 +3,16 @@
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
+
+if TYPE_CHECKING:
+    from koopdqn.demonstrations.placement import Placement
 
 _QUATERNION_TOLERANCE = 1e-3
 # No arm here reaches so far [m]; a file in millimetres does.
@@ -93,6 +97,7 @@ class Demonstrations:
         arm: the arm's name.
         items: the trajectories, at least one.
         held_out: how many of them, the last ones, are kept for evaluation; nothing is learned from them.
+        placement: how they were moved since they were recorded; None if they were not.
 
     Raises:
         BadInputError: there is no trajectory, or none to learn from.
@@ -102,6 +107,7 @@ class Demonstrations:
     arm: str
     items: Sequence[Demonstration]
     held_out: int = 0
+    placement: "Placement | None" = None
 
     def __post_init__(self) -> None:
         """Check that there is something."""

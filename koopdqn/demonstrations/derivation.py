@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.config.settings import Count, Fraction, Positive
+from koopdqn.config.settings import Fraction, Positive
 from koopdqn.demonstrations import ends
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.idle import Trimmed, trimmed
@@ -18,7 +18,8 @@ from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrated import DemonstratedTask, Turning
 from koopdqn.tasks.path import arc_lengths, at_arc_lengths
-from koopdqn.tasks.task import TURNS_PER_STEP, PaperSettings, TaskChoice
+from koopdqn.tasks.start_frame import StartFrame
+from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
 
 # The step of the other tasks. Where a demonstration would have fewer steps than the fewest it is shorter, where
 # more than the most longer, within the bounds [m].
@@ -52,34 +53,22 @@ class Derivation(TaskChoice):
     holdout: int | None = Field(
         ge=0, description="demonstrations kept for evaluation, the last ones; null: one, none if there is but one"
     )
+    place: Literal["auto"] | None = Field(
+        description="auto: move all demonstrations rigidly to where the arm can follow them; null: leave them"
+    )
     turning: Turning | None = Field(description="what becomes of orientation")
     step_m: float | None = Field(ge=1e-4, le=0.05, description="distance of one action [m]")
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: Positive
     pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the law looks along a demonstration [m]")
-    far_copies: int = Field(
-        ge=0, le=100, description="made-up states far from each demonstrated one that the intent model gets by default"
-    )
-    far_weight: float = Field(gt=0, le=1, description="what each of them counts beside a demonstrated one, by default")
-    centring: Fraction = Field(
-        description="how much, among right actions, coming nearer to the demonstrated path counts"
-    )
-    centring_path: Literal["mean", "nearest"] = Field(
-        description="that path: the mean of the demonstrations, or whichever of them is nearest"
-    )
-    lead_back_m: float = Field(
-        ge=0,
-        le=1.0,
-        description="how far beside that path the model's prediction leads back to it at 45°, but for what has faded"
-        " there [m]; 0: never",
-    )
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
-    end_spread_m: Positive = Field(description="how far a demonstration may end from the mean of all ends [m]")
+    end_spread: Fraction = Field(
+        description="how far a demonstration may end from the mean of all ends, as a share of the median way from start"
+        " to end"
+    )
     end_spread_rad: Positive = Field(description="the same for its orientation, where that matters [rad]")
     held_limit_rad: Positive = Field(description="turn from the goal up to which orientation counts as held [rad]")
-    checks_to_learn: Count = Field(description="passed checks in a row that count as learned, by default")
-    paper: PaperSettings
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
         """Return the task that demonstrations show.
@@ -99,7 +88,7 @@ class Derivation(TaskChoice):
         even = [smoothed(each.item) for each in cut]
         learned, aside = even[: len(even) - kept], even[len(even) - kept :]
         goal = ends.goal_of(learned)
-        spread = ends.check_position(learned, goal, self.end_spread_m)
+        spread = ends.check_position(learned, goal, self.end_spread)
         shown = [item.poses for item in learned]
         turning = self.turning or turning_of(shown, goal, self.held_limit_rad)
         if turning != "free":
@@ -141,6 +130,7 @@ class Derivation(TaskChoice):
             )
         start = starts[_middle_one(trajectories)]
         half = np.abs(starts - start)[:, pose.POSITION].max(axis=0) + self.start_margin_m
+        frame = StartFrame.chosen(trajectories, start, goal)
         return DemonstratedTask.shown(
             trajectories,
             name=self.name,
@@ -155,17 +145,11 @@ class Derivation(TaskChoice):
             goal_tolerance_m=self.goal_tolerance_m,
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
             pull_back_m=self.pull_back_m,
-            far_copies=self.far_copies,
-            far_weight=self.far_weight,
-            centring=self.centring,
-            centring_path=self.centring_path,
-            lead_back_m=self.lead_back_m,
             variation_m=0.0,
             least_clearance_m=0.0,
-            checks_to_learn=self.checks_to_learn,
-            paper=self.paper,
             turning=turning,
             held_limit_rad=self.held_limit_rad,
+            follows_start=frame.follows,
             start_margin_m=self.start_margin_m,
             holdout=kept,
             training=training.digest(),
@@ -218,10 +202,12 @@ def _taken_out(rough: Demonstration, even: Demonstration) -> float:
 
 def _about_ends(task: DemonstratedTask, spread: float) -> str:
     start, goal = (np.round(each[pose.POSITION], 4).tolist() for each in (task.nominal_start, task.goal))
+    follows = "keep beside the others what their start lies beside theirs, fading" if task.follows_start else "meet"
     half = [round(1e3 * value) for value in task.start_half_range_m]
     return (
         f"start: around {start} m, within ±{task.start_margin_m * 1e3:g} mm of a demonstrated one, together ±{half} mm;"
-        f" goal: {goal} m, the mean of ends up to {spread * 1e3:.1f} mm from it"
+        f" goal: {goal} m, the mean of ends up to {spread * 1e3:.1f} mm from it;"
+        f" paths from elsewhere {follows}"
     )
 
 

@@ -32,14 +32,15 @@ def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> 
     """Return the largest distance [m] of an end from the goal (7,).
 
     Raises:
-        BadInputError: it is more than ``most`` [m].
+        BadInputError: it is more than ``most`` times the median way from start to end.
     """
+    way = float(np.median([pose.position_distance(item.poses[0], item.poses[-1]) for item in items]))
     apart = [float(pose.position_distance(item.poses[-1], goal)) for item in items]
     worst = int(np.argmax(apart))
-    if apart[worst] > most:
+    if apart[worst] > most * way:
         raise BadInputError(
-            f"demonstration {worst} must end within task.end_spread_m = {most:g} m of the mean of all ends,"
-            f" found {apart[worst]:.3f} m: demonstrations of one task share their goal"
+            f"demonstration {worst} must end within task.end_spread = {most:g} times the median way of {way:.3f} m of"
+            f" the mean of all ends, found {apart[worst]:.3f} m: demonstrations of one task share their goal"
         )
     return apart[worst]
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from koopdqn.config.messages import shown
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.placement import Placement
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
 
@@ -17,6 +18,7 @@ FORMAT_VERSION = 1
 _FRAME = "UR Base, flange (tool0)"
 _QUATERNION_ORDER = "wxyz"
 _UNITS = "m, s, rad"
+_PLACEMENT = "placement"
 _LEARNED, _HELD_OUT = "mask/train", "mask/valid"
 _ASSUMED = {"frame": _FRAME, "quaternion_order": _QUATERNION_ORDER, "units": _UNITS}
 
@@ -33,6 +35,8 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
             {"env_name": demonstrations.task, "env_type": "koopdqn", "arm": demonstrations.arm}, sort_keys=True
         )
         data.attrs.update(_ASSUMED)
+        if demonstrations.placement is not None:
+            data.attrs[_PLACEMENT] = [*demonstrations.placement.offset, demonstrations.placement.turn]
         for index, item in enumerate(demonstrations.items):
             group = data.create_group(f"demo_{index}")
             group.attrs["num_samples"] = len(item)
@@ -104,7 +108,17 @@ def _read(file: h5py.File) -> Demonstrations:
             items.append(Demonstration(np.asarray(group["t"]), np.hstack([position, quaternion]), joints))
         except BadInputError as error:
             raise BadInputError(f"{name}: {error}") from error
-    return Demonstrations(str(about["env_name"]), str(about.get("arm", "unknown")), items, _held_out(file, names))
+    arm, placement = str(about.get("arm", "unknown")), _placement(data.attrs.get(_PLACEMENT))
+    return Demonstrations(str(about["env_name"]), arm, items, _held_out(file, names), placement)
+
+
+def _placement(values: Any) -> Placement | None:
+    if values is None:
+        return None
+    numbers = np.asarray(values, dtype=float)
+    if numbers.shape != (4,) or not np.isfinite(numbers).all():
+        raise BadInputError(f"{_PLACEMENT} must be three offsets [m] and a turn [rad], found {shown(values)}")
+    return Placement(numbers[:3], float(numbers[3]))
 
 
 def _held_out(file: h5py.File, names: list[str]) -> int:

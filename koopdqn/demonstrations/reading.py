@@ -7,6 +7,7 @@ from pathlib import Path
 from koopdqn.demonstrations.csv import read_csv
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.demonstrations.placement import Placement
 from koopdqn.errors import BadInputError
 
 _CSV = (".csv", ".tsv", ".txt")
@@ -52,16 +53,21 @@ def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: b
         BadInputError: a file is missing, damaged or of another task.
     """
     items: list[Demonstration] = []
+    placements: dict[str, Placement | None] = {}
     for path in files_of(sources):
         if path.suffix.lower() in _CSV:
             items += read_csv(path)
+            placements["none"] = None
             continue
         read = read_hdf5(path)
         if not any_task and read.task != task:
             raise BadInputError(f"demos {path}: must be of task {task}, found task {read.task}")
         items += read.items
         arm = read.arm
-    return Demonstrations(task, arm, items)
+        placements["none" if read.placement is None else str(read.placement)] = read.placement
+    if len(placements) > 1:
+        raise BadInputError(f"demos: all files must have been moved alike, found {' and '.join(sorted(placements))}")
+    return Demonstrations(task, arm, items, placement=next(iter(placements.values())))
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -1,13 +1,10 @@
 """Resampling a demonstration to the agent's step, or to a number of samples."""
 
-from dataclasses import replace
-from typing import Literal
-
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.path import PathSet, SmoothPath, arc_lengths, at_arc_lengths
+from koopdqn.tasks.path import arc_lengths, at_arc_lengths
 
 
 def to_step(poses: Array, step: float, turn: float) -> Array:
@@ -69,26 +66,13 @@ def between(a: Array, b: Array, share: float) -> Array:
     return pose.make(position, pose.turned_toward(a[pose.QUATERNION], b[pose.QUATERNION], angle))
 
 
-def mean_path(trajectories: list[Array]) -> SmoothPath:
-    """Return the mean path of pose trajectories (N, 7), aligned by their share of path travelled."""
-    count = max(len(trajectory) for trajectory in trajectories)
-    aligned = [to_count(trajectory, count)[:, pose.POSITION] for trajectory in trajectories]
-    return SmoothPath.along(np.mean(aligned, axis=0))
-
-
-def shown_paths(trajectories: list[Array], which: Literal["mean", "nearest"]) -> PathSet:
-    """Return the mean path of pose trajectories (N, 7), or all of them, of which the nearest is the one that counts.
-
-    The mean path's spread is the root mean square distance from it of the trajectories, at the same share of path
-    travelled; each trajectory alone has none.
-    """
-    if which == "mean":
-        path = mean_path(trajectories)
-        mean = PathSet((path,))
-        aligned = (to_count(trajectory, len(path.points))[:, pose.POSITION] for trajectory in trajectories)
-        squared = [mean.distance(positions) ** 2 for positions in aligned]
-        return replace(mean, spread=np.sqrt(np.mean(squared, axis=0)))
-    return PathSet(tuple(SmoothPath.along(trajectory[:, pose.POSITION]) for trajectory in trajectories))
+def mean_poses(trajectories: list[Array], count: int) -> Array:
+    """Return ``count`` poses (count, 7) along the mean of pose trajectories (N, 7), aligned by their share of path."""
+    aligned = np.array([to_count(rows, count) for rows in trajectories])
+    turns = aligned[..., pose.QUATERNION]
+    # q and −q are the same rotation.
+    turns = turns * np.where((turns * turns[0]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
+    return pose.make(aligned[..., pose.POSITION].mean(axis=0), pose.normalized(turns.mean(axis=0)))
 
 
 def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:

@@ -12,8 +12,8 @@ _FLOAT32 = 4
 # Two networks, their gradient and Adam's two moments; a batch's activations forward and backward, of two states.
 _COPIES_OF_WEIGHTS = 5
 _COPIES_OF_ACTIVATIONS = 4
-# A transition beside its two observations: action, reward, three booleans, the pose, and step, source and answer.
-_TRANSITION = 8 + 4 + 3 + 7 * 8 + 3 * 8
+# A transition beside its two observations: action, reward, three booleans, two poses, and step, source and answer.
+_TRANSITION = 8 + 4 + 3 + 14 * 8 + 3 * 8
 # One side-by-side episode: ten reached poses and what is known of them, with temporaries.
 _EPISODE = 16 * 1024
 

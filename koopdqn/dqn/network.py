@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from koopdqn.dqn.settings import NetworkSettings
 from koopdqn.environment.actions import COUNT
 
-_POSITION = 3
+_POSITION, _ROTATION = 3, 3
+# Observations where orientation is held: position and the two distances.
+_HELD = 5
 # Observations that hardly vary (a held orientation's distance) must not be blown up.
 _LEAST_SPREAD = 0.02
 
@@ -34,7 +36,11 @@ class QNetwork(nn.Module):
         features = settings.fourier_features
         self.register_buffer("mean", torch.zeros(inputs))
         self.register_buffer("spread", torch.ones(inputs))
-        self.register_buffer("frequencies", _drawn(rng.normal(size=(_POSITION, features)) / settings.length_scale_m))
+        scale = np.array([settings.length_scale_m] * _POSITION + [settings.length_scale_rad] * _ROTATION)
+        # Position, and with orientation learned the rotation vector.
+        self._waved = _POSITION if inputs == _HELD else _POSITION + _ROTATION
+        drawn = rng.normal(size=(self._waved, features)) / scale[: self._waved, None]
+        self.register_buffer("frequencies", _drawn(drawn))
         self.register_buffer("phases", _drawn(rng.uniform(0, 2 * np.pi, features)))
         widths = [inputs + features, *settings.hidden]
         layers: list[nn.Module] = []
@@ -56,7 +62,7 @@ class QNetwork(nn.Module):
         normalised = (observations - self.mean) / self.spread
         if not self.phases.numel():
             return normalised
-        waves = torch.cos(observations[:, :_POSITION] @ self.frequencies + self.phases)
+        waves = torch.cos(observations[:, : self._waved] @ self.frequencies + self.phases)
         return torch.cat([normalised, np.sqrt(2.0) * waves], dim=1)
 
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ def size(task: Task) -> int:
 
 
 def observe(poses: Array, task: Task) -> NDArray[np.float32]:
-    """Return observations (N, 5) or (N, 8) of poses (N, 7).
+    """Return observations (N, 5) or (N, 8) of poses (N, 7), told as from the task's nominal start.
 
     Position [m], with orientation learned also the rotation vector from the goal's orientation [rad], then
     the distances to the goal in position [m] and rotation [rad].

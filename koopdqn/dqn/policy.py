@@ -14,6 +14,7 @@ from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.settings import NetworkSettings
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 
 KIND = "policy"
@@ -26,23 +27,27 @@ class Policy:
     Attributes:
         network: the Q-network.
         task: gives the goal that observations refer to.
+        frame: in which poses are observed.
     """
 
     network: QNetwork
     task: Task
+    frame: StartFrame = STILL
 
-    def __call__(self, poses: Array) -> np.ndarray:
-        """Return the actions (N,) of greatest value from poses (N, 7)."""
-        return np.asarray(self.values(poses).argmax(axis=1))
+    def __call__(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return the actions (N,) of greatest value from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        return np.asarray(self.values(poses, starts).argmax(axis=1))
 
-    def values(self, poses: Array) -> np.ndarray:
-        """Return Q (N, 10) at poses (N, 7)."""
-        return self.network.values(observe(poses, self.task))
+    def values(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return Q (N, 10) at poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        return self.network.values(observe(self.frame.placed(poses, starts), self.task))
 
 
-def write_policy(path: Path, arrays: dict[str, np.ndarray], network: NetworkSettings, about: dict[str, Any]) -> None:
-    """Write a network's arrays with the settings to rebuild it and ``about``: what it was made with and from."""
-    write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network)}))
+def write_policy(
+    path: Path, arrays: dict[str, np.ndarray], network: NetworkSettings, frame: StartFrame, about: dict[str, Any]
+) -> None:
+    """Write a network's arrays with what rebuilds the policy and ``about``: what it was made with and from."""
+    write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network), "frame": frame.described()}))
 
 
 def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
@@ -63,4 +68,4 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
         # torch lists every array on a line of its own.
         found = " ".join(str(error).split())
         raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {found}") from error
-    return Policy(network, task), about
+    return Policy(network, task, StartFrame.restore(about["frame"])), about

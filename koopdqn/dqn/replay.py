@@ -21,6 +21,7 @@ class Transitions:
         truncated: (N,) whether the episode was cut there; the value beyond still counts.
         undone: (N,) whether the action was wrong and stepped back from.
         poses: (N, 7) before the actions.
+        starts: (N, 7) where their episodes began.
         steps: (N,) steps of the episode before them.
         sources: (N,) where the rewards came from (:data:`koopdqn.environment.reward.SOURCES`).
         answers: (N,) number of the answer that the reward rests on, or −1.
@@ -34,6 +35,7 @@ class Transitions:
     truncated: NDArray[np.bool_]
     undone: NDArray[np.bool_]
     poses: NDArray[np.float64]
+    starts: NDArray[np.float64]
     steps: NDArray[np.int64]
     sources: NDArray[np.int64]
     answers: NDArray[np.int64]
@@ -63,6 +65,7 @@ class ReplayBuffer:
             "truncated": np.zeros(capacity, np.bool_),
             "undone": np.zeros(capacity, np.bool_),
             "poses": np.zeros((capacity, 7), np.float64),
+            "starts": np.zeros((capacity, 7), np.float64),
             "steps": np.zeros(capacity, np.int64),
             "sources": np.zeros(capacity, np.int64),
             "answers": np.zeros(capacity, np.int64),

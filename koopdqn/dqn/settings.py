@@ -13,6 +13,11 @@ class NetworkSettings(Settings):
     hidden: Counts = Field(min_length=1, description="units of each hidden layer")
     fourier_features: NonNegativeInt = Field(description="random Fourier features of the position; 0 for plain inputs")
     length_scale_m: float = Field(ge=1e-4, le=1e3, description="of the Fourier features [m]")
+    length_scale_rad: float = Field(
+        ge=1e-3,
+        le=1e3,
+        description="of the Fourier features in what is left to turn, where that is learned [rad]",
+    )
 
 
 class AgentSettings(Settings):
@@ -55,6 +60,9 @@ class AgentSettings(Settings):
     )
     exploring_spread_m: float = Field(
         gt=0, le=0.5, description="how far beside it the latter begin, a standard deviation [m]"
+    )
+    exploring_spread_rad: float = Field(
+        gt=0, le=1, description="how far their turn is ahead or behind, a standard deviation [rad]"
     )
     exploring_steps: int = Field(ge=1, le=1_000_000, description="steps after which such an episode is cut")
 

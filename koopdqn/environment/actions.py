@@ -6,6 +6,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
 
 ACTIONS: Final = (
@@ -28,7 +29,7 @@ ROTATING: Final = (0, 2, 3)
 
 # Rotation of one action in rotation tolerances (design, row 9): together with the actions that do not
 # turn they match every demonstrated rate from 0 to 5 tolerances a step.
-_TURN: Final = {0: 2.0, 2: 2.0, 3: 4.0}
+_TURN: Final = {0: IN_PLACE, 2: IN_PLACE, 3: 2.0 * IN_PLACE}
 _TO_GOAL: Final = (0, 1, 3)
 _FIRST_AXIS: Final = 4
 

@@ -36,7 +36,7 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         self._oracle = oracle
         self._step_limit = step_limit
         self._rng = np.random.default_rng([seed, 5])
-        self._pose = workcell.task.nominal_start
+        self._pose = self._start = workcell.task.nominal_start
         self._joints = np.array(workcell.arm.home)
         self._episode = -1
         self._step = 0
@@ -51,7 +51,8 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
     def reset(self) -> dm_env.TimeStep:
         """Begin an episode somewhere in the start region."""
         poses, joints, _ = self._workcell.reachability.draw_starts(self._workcell.task, self._rng, 1)
-        self._pose, self._joints = poses[0], joints[0]
+        self._pose = self._start = poses[0]
+        self._joints = joints[0]
         self._episode += 1
         self._step = self._tries = 0
         self._running = True
@@ -94,10 +95,12 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         self._oracle.close()
 
     def _observation(self) -> np.ndarray:
-        return np.array(observe(self._pose[None], self._workcell.task)[0])
+        return np.array(
+            observe(self._reward.model.start_frame.placed(self._pose[None], self._start[None]), self._workcell.task)[0]
+        )
 
     def _try(self, action: int) -> tuple[float, np.ndarray, np.ndarray | None, bool]:
-        judgement = self._reward.judge(self._pose[None], np.array([self._step]))
+        judgement = self._reward.judge(self._pose[None], np.array([self._step]), self._start[None])
         reached = judgement.reached[0, action]
         at_goal = bool(judgement.at_goal[0, action])
         motion = self._workcell.reachability.move(reached, self._joints)
@@ -106,10 +109,10 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         if judgement.known[0, action]:
             return float(judgement.reward[0, action]), reached, motion.joints, at_goal
         trust = self._reward.trust
-        reason = trust.outside(reached, self._step + 1) or trust.outside(self._pose, self._step)
-        question = Question(
-            self._episode, self._step, self._pose.copy(), action, reached.copy(), judgement.predicted[0], reason
-        )
+        placed = judgement.placed_reached[0, action]
+        reason = trust.outside(placed, self._step + 1) or trust.outside(judgement.placed[0], self._step)
+        places = self._pose.copy(), self._start.copy()
+        question = Question(self._episode, self._step, *places, action, reached.copy(), judgement.predicted[0], reason)
         answer = self._oracle.answer(question)
         if answer.right is None:
             # A skip is not a no, but nothing moves either.

@@ -7,7 +7,8 @@ import numpy as np
 from koopdqn.environment.actions import COUNT
 from koopdqn.environment.reachability import Motion, Reachability
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.pose import Array
+from koopdqn.pose import Array, turned_toward
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 
 _MOST_DRAWS = 1000
@@ -20,6 +21,7 @@ class EpisodeBatch:
 
     Attributes:
         poses: (N, 7) flange poses.
+        starts: (N, 7) where they began, or would have begun to be here now.
         joints: (N, 6) joint angles [rad].
         steps: (N,) steps made.
         limits: (N,) steps after which each is truncated.
@@ -31,6 +33,7 @@ class EpisodeBatch:
     """
 
     poses: Array
+    starts: Array
     joints: Array
     steps: np.ndarray
     limits: np.ndarray
@@ -45,6 +48,7 @@ class EpisodeBatch:
         """Return room for ``count`` episodes that have not begun."""
         return cls(
             poses=np.zeros((count, 7)),
+            starts=np.zeros((count, 7)),
             joints=np.zeros((count, 6)),
             steps=np.zeros(count, dtype=np.int64),
             limits=np.zeros(count, dtype=np.int64),
@@ -67,9 +71,8 @@ class EpisodeBatch:
         self.tried[index] = False
         self.stored[index] = False
 
-    def reopen(self, pose: Array, action: int) -> None:
-        """Let episodes that are at a pose (7,) try an action from it anew."""
-        here = (self.poses == pose).all(axis=1)
+    def reopen(self, here: np.ndarray, action: int) -> None:
+        """Let those of N episodes that are ``here`` (N,) try an action anew."""
         self.tried[here, action] = False
         self.stored[here, action] = False
 
@@ -95,11 +98,13 @@ class StartSampler:
     Attributes:
         task: gives the start region.
         reachability: refuses what the arm cannot take.
-        trajectories: demonstrated poses (N, 7) at the agent's step.
+        frame: in which demonstrations are told.
+        trajectories: demonstrated poses (N, 7) at the agent's step, placed there.
         share: share of exploring starts.
         region_share: share of the exploring starts that lie in and around the start region, as all others do.
         region_scale: how many times wider than the start region those may lie.
         spread: standard deviation of the other starts' offset from a demonstration [m].
+        spread_rad: of how far their turn toward the goal's orientation is ahead [rad].
         exploring_steps: step limit of exploring episodes.
         step_limit: step limit of the others.
         refused: how many draws were drawn again.
@@ -107,11 +112,13 @@ class StartSampler:
 
     task: Task
     reachability: Reachability
+    frame: StartFrame
     trajectories: list[Array]
     share: float
     region_share: float
     region_scale: float
     spread: float
+    spread_rad: float
     exploring_steps: int
     step_limit: int
     refused: int = field(default=0)
@@ -120,11 +127,12 @@ class StartSampler:
         """Begin episode ``number`` at ``index`` of a batch."""
         batch.exploring[index] = rng.random() < self.share
         if batch.exploring[index] and rng.random() >= self.region_share:
-            pose, motion = self._along_demonstration(rng)
+            pose, start, motion = self._along_demonstration(rng)
         else:
             pose, motion = self._around_region(rng)
+            start = pose
         assert motion.joints is not None  # both ways draw until the arm can
-        batch.poses[index], batch.joints[index] = pose, motion.joints
+        batch.poses[index], batch.starts[index], batch.joints[index] = pose, start, motion.joints
         batch.steps[index] = 0
         batch.limits[index] = self.exploring_steps if batch.exploring[index] else self.step_limit
         batch.numbers[index] = number
@@ -149,7 +157,7 @@ class StartSampler:
             self.refused += refused
             return poses[0], Motion(joints[0])
 
-    def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Motion]:
+    def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Array, Motion]:
         for _ in range(_MOST_DRAWS):
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]
             index = rng.integers(len(trajectory))
@@ -157,11 +165,13 @@ class StartSampler:
             pose[:3] += rng.normal(scale=self.spread, size=3)
             if self.task.orientation == "learned":
                 # A turn that runs ahead of the position or behind it.
-                shift = round(rng.normal(scale=self.spread) / self.task.step_m)
-                pose[3:] = trajectory[np.clip(index + shift, 0, len(trajectory) - 1), 3:]
+                ahead = rng.normal(scale=self.spread_rad)
+                pose[3:] = turned_toward(pose[3:], self.task.goal[3:], ahead)
+            start = self.task.draw_starts(rng, 1)[0]
+            pose = self.frame.unplaced(pose[None], start[None], pose[None])[0]
             motion = self.reachability.enter(pose)
             if motion.joints is not None and not self.task.reached(pose[None])[0]:
-                return pose, motion
+                return pose, start, motion
             self.refused += 1
         raise WorkFailedError(
             f"task {self.task.name}: the arm must be able to begin along the demonstrations,"

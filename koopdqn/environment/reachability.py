@@ -13,9 +13,12 @@ from koopdqn.tasks.task import Task
 
 COLLISION: Final = "collision"
 UNREACHABLE: Final = "unreachable"
-VELOCITY: Final = "velocity_limit"
+JUMP: Final = "posture_jump"
 # The reasons why a motion is refused, for counting.
-REASONS: Final = (UNREACHABLE, VELOCITY, COLLISION)
+REASONS: Final = (UNREACHABLE, JUMP, COLLISION)
+# A joint that would turn more than this in one step [rad] changes the arm's posture: a step of millimetres needs that
+# much only where another of the solutions takes over.
+_JUMP = 0.5
 
 
 @dataclass(frozen=True)
@@ -39,17 +42,16 @@ class Reachability:
     Attributes:
         arm: the arm.
         scene: the scene.
-        step_seconds: how long one step takes [s]; with the arm's velocity limits it bounds a step's joint motion.
+        step_seconds: how long one step takes [s], longer where a joint would be faster than its limit.
         posture: joint angles (6,) [rad] that motions begin nearest to, of the many that take a pose.
     """
 
     def __init__(self, arm: Arm, scene: Scene, step_seconds: float, posture: Array | None = None) -> None:
-        """Prepare for an arm in a scene whose every step takes ``step_seconds`` [s]; the posture is home if None."""
+        """Prepare for an arm in a scene whose steps take ``step_seconds`` [s] at least; the posture is home if None."""
         self.arm = arm
         self.scene = scene
         self.step_seconds = step_seconds
         self.posture = np.array(arm.home) if posture is None else posture.copy()
-        self._largest_step = np.array(arm.velocity_limits) * step_seconds
 
     def move(self, pose: Array, joints: Array) -> Motion:
         """Return what becomes of moving the flange to a pose (7,) from joint angles (6,) [rad] in one step."""
@@ -57,16 +59,19 @@ class Reachability:
         if not result.success:
             return Motion(None, UNREACHABLE, result.reason)
         step = np.abs(result.joints - joints)
-        if np.any(step > self._largest_step):
-            worst = int((step / self._largest_step).argmax())
-            detail = (
-                f"{self.arm.joint_names[worst]} would move {step[worst]:.3f} rad, limit {self._largest_step[worst]:.3f}"
-            )
-            return Motion(None, VELOCITY, detail)
+        worst = int(step.argmax())
+        if step[worst] > _JUMP:
+            detail = f"{self.arm.joint_names[worst]} would jump by {step[worst]:.3f} rad, most {_JUMP} in a step"
+            return Motion(None, JUMP, detail)
         contact = self.scene.contact(result.joints)
         if contact:
             return Motion(None, COLLISION, contact)
         return Motion(result.joints)
+
+    def durations(self, joints: Array) -> Array:
+        """Return how long each step along joint angles (T, 6) [rad] takes, (T − 1,) [s]: as its slowest joint needs."""
+        needed = np.abs(np.diff(joints, axis=0)) / np.array(self.arm.velocity_limits)
+        return np.asarray(np.maximum(needed.max(axis=1), self.step_seconds))
 
     def enter(self, pose: Array) -> Motion:
         """Return the joint angles with which the arm takes a pose (7,) to begin with: those nearest its posture.

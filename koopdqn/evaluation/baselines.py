@@ -52,9 +52,9 @@ class Greedy:
     model: IntentModel
     task: Task
 
-    def __call__(self, poses: Array) -> np.ndarray:
-        """Return the actions (N,) from poses (N, 7)."""
-        wished = self.model.preferred(poses, self.task.step_m)
+    def __call__(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        wished = self.model.to_step(poses, self.model.intended(poses, starts), self.task.step_m)
         return nearest_actions(poses, wished, self.task)
 
 

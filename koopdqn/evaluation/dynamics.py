@@ -49,7 +49,7 @@ class Execution:
 
 
 def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
-    """Execute a path of joint angles (T, 6) [rad], one row every ``time_scale`` × ``robot.step_seconds``.
+    """Execute a path of joint angles (T, 6) [rad], each step ``time_scale`` times as long as planned.
 
     A cubic spline through the rows, at rest at both ends, is sampled at every physics step, whatever the
     ratio of the two time steps is; the last physics step may reach past the path's end, where the end is
@@ -72,7 +72,9 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
     arm = workcell.arm
     scene = copy.copy(workcell.scene)
     scene.data = mujoco.MjData(scene.model)
-    commanded, speed = _set_points(joints, time_scale * arm.step_seconds, scene.model.opt.timestep)
+    commanded, speed = _set_points(
+        joints, time_scale * workcell.reachability.durations(joints), scene.model.opt.timestep
+    )
     led = commanded + _lag(scene) * speed
     recorder = _Recorder(scene, len(commanded) - 1)
     scene.data.qpos[scene.joint_index] = joints[0]
@@ -144,11 +146,14 @@ class _Recorder:
             self.first_contact = self.first_contact or contact
 
 
-def _set_points(joints: Array, step_seconds: float, physics_seconds: float) -> tuple[Array, Array]:
-    """Return joint angles (S + 1, 6) [rad] and speeds [rad/s] at every physics step, up to or just past the end."""
+def _set_points(joints: Array, durations: Array, physics_seconds: float) -> tuple[Array, Array]:
+    """Return joint angles (S + 1, 6) [rad] and speeds [rad/s] at every physics step, up to or just past the end.
+
+    The steps from row to row of ``joints`` (T, 6) [rad] take ``durations`` (T − 1,) [s].
+    """
     from scipy.interpolate import CubicSpline
 
-    knots = step_seconds * np.arange(len(joints))
+    knots = np.concatenate([[0.0], np.cumsum(durations)])
     spline = CubicSpline(knots, joints, bc_type="clamped")
     # 1e-9: an end that falls on a physics step must not gain another one by rounding.
     count = math.ceil(knots[-1] / physics_seconds - 1e-9)

@@ -90,7 +90,7 @@ def evaluate(
 
     def measured(baseline: list[Episode]) -> MethodReport:
         advance(len(baseline))
-        return measure(baseline, references, task, trust, workcell.arm.step_seconds)
+        return measure(baseline, references, task, trust, model.start_frame, workcell.reachability)
 
     baselines = None
     if settings.baselines:
@@ -100,7 +100,7 @@ def evaluate(
             nearest_demonstration=measured(nearest_demonstration(workcell, trajectories, starts, joints)),
         )
     dynamics = _dynamics(workcell, episodes, settings, advance) if settings.dynamics else None
-    policy_report = measure(episodes, references, task, trust, workcell.arm.step_seconds)
+    policy_report = measure(episodes, references, task, trust, model.start_frame, workcell.reachability)
     holdout = None
     if held_out:
         holdout = measure_holdout(

@@ -73,7 +73,7 @@ def measure_holdout(
             for index, path in enumerate(held_out)
         ]
         hausdorff[name] = [hausdorff_mm(episode.poses, path) for episode, path in zip(episodes, held_out, strict=True)]
-        return measure(episodes, held_out, task, trust, workcell.arm.step_seconds), episodes
+        return measure(episodes, held_out, task, trust, model.start_frame, workcell.reachability), episodes
 
     limit = step_limit
     report, episodes = measured("policy", lambda: roll_out(policy, task, workcell.reachability, starts, joints, limit))

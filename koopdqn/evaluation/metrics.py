@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.environment.reachability import Reachability
 from koopdqn.evaluation.deviation import deviations
 from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviation, Range, Summary, TurnReport
 from koopdqn.evaluation.wilson import wilson_interval
@@ -12,6 +13,7 @@ from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 from koopdqn.rollout import FAILURES, SUCCESS, Episode
 from koopdqn.tasks.path import arc_lengths
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 
 _MILLIMETRES = 1e3
@@ -20,7 +22,12 @@ _OWN = ("blade_angle_final_deg", "fraction_until_safe", "min_blade_distance_m", 
 
 
 def measure(
-    episodes: list[Episode], references: list[Array] | None, task: Task, trust: TrustDomain, step_seconds: float
+    episodes: list[Episode],
+    references: list[Array] | None,
+    task: Task,
+    trust: TrustDomain,
+    frame: StartFrame,
+    reachability: Reachability,
 ) -> MethodReport:
     """Return what is measured of a method's episodes; :class:`MethodReport` defines every quantity.
 
@@ -33,7 +40,8 @@ def measure(
             then no deviation.
         task: gives the goal.
         trust: the tube.
-        step_seconds: how long one step takes [s].
+        frame: in which the tube knows poses.
+        reachability: how long the steps take.
     """
     if references is not None and len(references) != len(episodes):
         raise ValueError(f"there must be one reference for each of {len(episodes)} episodes, found {len(references)}")
@@ -54,14 +62,22 @@ def measure(
         stairs_deviation_mm=LateralDeviation(**stairs),
         lateral_deviation_mm=LateralDeviation(**lateral),
         rotation_deviation_deg=summary(np.degrees(apart.rotation)),
-        tube_fraction=_tube_fraction(paths, trust),
+        tube_fraction=_tube_fraction(paths, frame, trust),
         final_position_error_mm=summary(pose.position_distance(ends, task.goal) * _MILLIMETRES),
         final_rotation_error_deg=summary(np.degrees(pose.rotation_distance(ends, task.goal))),
         path_length_ratio=_length_ratio(moved),
         steps=summary(np.array([episode.steps for episode in episodes], dtype=float)),
+        time_stretch=_time_stretch(episodes, reachability),
         failures={cause: outcomes[cause] for cause in FAILURES},
         turn=turn_report(paths, task) if task.orientation == "learned" else None,
-        **_own_measures(paths, task, step_seconds),
+        **_own_measures(paths, task, reachability.step_seconds),
+    )
+
+
+def _time_stretch(episodes: list[Episode], reachability: Reachability) -> Summary:
+    each = [reachability.durations(e.joints) / reachability.step_seconds for e in episodes if e.steps]
+    return Summary(
+        mean=_mean(np.array([times.mean() for times in each])), max=max((float(t.max()) for t in each), default=None)
     )
 
 
@@ -110,10 +126,10 @@ def _spread(values: Array) -> dict[str, float | None]:
     return {"mean": _mean(values), "max": float(largest.max()), "p95_of_max": float(np.percentile(largest, 95))}
 
 
-def _tube_fraction(paths: list[Array], trust: TrustDomain) -> float | None:
+def _tube_fraction(paths: list[Array], frame: StartFrame, trust: TrustDomain) -> float | None:
     if not paths:
         return None
-    reached = np.concatenate([path[1:] for path in paths])
+    reached = np.concatenate([frame.placed(path[1:], path[:1]) for path in paths])
     steps = np.concatenate([np.arange(1, len(path)) for path in paths])
     return float(trust.inside(reached, steps).mean())
 

@@ -83,6 +83,10 @@ class MethodReport(ReportModel):
         description="mean over the measured episodes of the path's length over the reference's"
     )
     steps: Summary = Field(description="steps made, over all episodes")
+    time_stretch: Summary = Field(
+        description="how many times robot.step_seconds a step takes for the sake of the joints' speed limits, over the"
+        " measured episodes: mean of the episodes' means, largest of all steps"
+    )
     failures: dict[str, NonNegativeInt] = Field(description="failed episodes by cause; every cause is present")
     turn: TurnReport | None = Field(description="how turn and motion go together; null where orientation is held")
     blade_angle_final_deg: Range | None = Field(description="knife: angle of the edge to straight down at the end")
@@ -108,7 +112,7 @@ class DynamicsReport(ReportModel):
 
     episodes: NonNegativeInt = Field(description="executed paths: the first successful ones")
     time_scale: Annotated[float, Field(ge=1)] = Field(description="how many times robot.step_seconds one step took")
-    step_seconds: Annotated[float, Field(gt=0)] = Field(description="how long one step took [s]")
+    step_seconds: Annotated[float, Field(gt=0)] = Field(description="how long one step took at least [s]")
     tracking_error_mm: Summary = Field(
         description="distance of the flange from the commanded position at the same moment, at every physics step:"
         " mean of the paths' means, largest of all [mm]"

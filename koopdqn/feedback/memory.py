@@ -23,10 +23,7 @@ class FeedbackSettings(Settings):
     )
     remember_rad: float = Field(gt=0, le=3.2, description="and within this angle of its orientation [rad]")
     extend: bool = Field(description="let a yes extend the trust domain and, where it disagrees, the intent model")
-    reach: float = Field(
-        ge=0, le=2, description="radius of such an extension, in distances of the pose from the demonstrations' path"
-    )
-    least_reach_m: float = Field(gt=0, le=0.5, description="but at least this [m]")
+    reach_m: float = Field(gt=0, le=0.5, description="radius of such an extension around the pose [m]")
 
 
 @dataclass

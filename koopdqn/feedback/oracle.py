@@ -62,6 +62,7 @@ class Question:
         episode: number of the episode.
         step: step within it.
         pose: before the action (7,).
+        start: where the episode began (7,).
         action: index of the action in Table 1, from 0.
         reached: pose after it (7,).
         predicted: where the intent model would have gone (7,).
@@ -77,6 +78,7 @@ class Question:
     episode: int
     step: int
     pose: Array
+    start: Array
     action: int
     reached: Array
     predicted: Array

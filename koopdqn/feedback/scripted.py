@@ -37,10 +37,25 @@ class ScriptedOracle(Oracle):
 
     def answer(self, question: Question) -> Answer:
         """Return the demonstrator's answer."""
-        right = demonstrator_agrees(self.task, question.pose[None], question.reached[None])[0]
+        right = demonstrator_agrees(self.task, question.pose[None], question.reached[None], question.start[None])[0]
         return Answer(bool(right), self.name)
 
 
-def demonstrator_agrees(task: Task, poses: Array, reached: Array) -> np.ndarray:
-    """Return whether the demonstrator finds each reached pose (N, 7) right from each pose (N, 7), as booleans (N,)."""
-    return within_tolerance(reached, task.demonstrator.next_pose(poses), task)
+def demonstrator_wishes(task: Task, poses: Array, starts: Array) -> Array:
+    """Return where the demonstrator would be (N, 7) a step after poses (N, 7) of episodes from ``starts`` (N, 7)."""
+    frame = task.person_frame
+    return frame.unplaced(task.demonstrator.next_pose(frame.placed(poses, starts)), starts, poses)
+
+
+def demonstrator_agrees(task: Task, poses: Array, reached: Array, starts: Array | None = None) -> np.ndarray:
+    """Return whether the demonstrator finds each reached pose (N, 7) right from each pose (N, 7), as booleans (N,).
+
+    Args:
+        task: whose demonstrator.
+        poses: before the actions.
+        reached: after them.
+        starts: (N, 7) where the episodes began; None where poses are told as from the nominal start.
+    """
+    if starts is None:
+        return within_tolerance(reached, task.demonstrator.next_pose(poses), task)
+    return within_tolerance(reached, demonstrator_wishes(task, poses, starts), task)

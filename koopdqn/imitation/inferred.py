@@ -23,6 +23,7 @@ def demonstrated_transitions(trajectories: list[Array], task: Task) -> Transitio
     before = np.concatenate([trajectory[:-1] for trajectory in ended])
     after = np.concatenate([trajectory[1:] for trajectory in ended])
     terminated = np.concatenate([np.arange(1, len(trajectory)) == len(trajectory) - 1 for trajectory in ended])
+    starts = np.concatenate([np.repeat(trajectory[:1], len(trajectory) - 1, axis=0) for trajectory in ended])
     count = len(before)
     return Transitions(
         observations=observe(before, task),
@@ -33,6 +34,7 @@ def demonstrated_transitions(trajectories: list[Array], task: Task) -> Transitio
         truncated=np.zeros(count, dtype=bool),
         undone=np.zeros(count, dtype=bool),
         poses=before,
+        starts=starts,
         steps=np.concatenate([np.arange(len(trajectory) - 1) for trajectory in ended]),
         sources=np.full(count, RULE),
         answers=np.full(count, NO_ANSWER),

@@ -19,6 +19,7 @@ from koopdqn.environment.reward import NO_ANSWER, RULE
 from koopdqn.imitation.imitator import Imitator
 from koopdqn.imitation.inferred import demonstrated_transitions
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL
 from koopdqn.workcell import Workcell
 
 # Sets its random numbers apart from those of demonstrations (1), training (2), checks (3) and evaluation (4).
@@ -69,7 +70,7 @@ class Sqil:
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
-        self._starts = start_sampler(workcell, trajectories, agent, step_limit)
+        self._starts = start_sampler(workcell, STILL, trajectories, agent, step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
         self._begun = 0
         for index in range(len(self._batch)):
@@ -147,6 +148,7 @@ class Sqil:
                 truncated=cut,
                 undone=np.zeros(count, dtype=bool),
                 poses=before,
+                starts=batch.starts.copy(),
                 steps=steps,
                 sources=np.full(count, RULE),
                 answers=np.full(count, NO_ANSWER),

@@ -8,6 +8,7 @@ from koopdqn import pose
 from koopdqn.intent.edmd import KoopmanModel
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import StartFrame
 
 # Of a correction's reach: where it has died out. At the reach itself a tenth of it is left.
 _SUPPORT = 1.7
@@ -53,6 +54,11 @@ class CorrectedIntent(IntentModel):
         """How far a correction reaches [m]."""
         return self.base.reach
 
+    @property
+    def start_frame(self) -> StartFrame:  # type: ignore[override]
+        """The base's frame."""
+        return self.base.start_frame
+
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
         predicted = self.base.predict(poses)
@@ -61,6 +67,10 @@ class CorrectedIntent(IntentModel):
         # A quaternion that is not turned keeps its bits.
         turned = np.where(np.any(change[:, 3:] != 0.0, axis=1, keepdims=True), turned, predicted[:, pose.QUATERNION])
         return pose.make(predicted[:, pose.POSITION] + change[:, :3], turned)
+
+    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
+        """Return predictions (N, 7) as motions of one step, as the base scales them."""
+        return self.base.to_step(poses, predicted, step)
 
     @property
     def matrices(self) -> dict[str, KoopmanModel]:

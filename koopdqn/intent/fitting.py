@@ -76,9 +76,11 @@ def fit(
         BadInputError: the demonstrations are of another task, or do not end at the goal.
     """
     _check(demonstrations, task)
-    trajectories = agent_steps(demonstrations, task)
+    shown = agent_steps(demonstrations, task)
+    frame = intent.start_frame(shown, task)
+    trajectories = frame.each(shown)
     found = cross_validate(trajectories, task, intent, advance)
-    model = IntentModel.fit(trajectories, task, intent.with_ridge(found.ridge))
+    model = IntentModel.fit(trajectories, task, intent.with_ridge(found.ridge)).within(frame)
     if found.folds:
         counted = [sizes_of(fold.error if trust.error_of == "raw" else fold.rescaled) for fold in found.folds]
     else:
@@ -110,7 +112,9 @@ def fit(
         "spectral_radius": first.spectral_radius(),
         "spectral_radius_rotation": None if turning is None else turning.spectral_radius(),
         "lifted_dimension": len(first.matrix),
-        "trust": trust_summary(domain, trajectories, counted, task, agent_steps(fresh, task) if fresh else []),
+        "trust": trust_summary(
+            domain, trajectories, counted, task, frame.each(agent_steps(fresh, task)) if fresh else []
+        ),
         "unmatched_share": unmatched_share(trajectories, task),
         "sixty_samples": sixty_samples(demonstrations, task, intent.with_ridge(found.ridge)),
     }

@@ -88,11 +88,18 @@ def path_coverage(domain: TrustDomain, trajectories: list[Array]) -> float:
     return float(np.mean([bool((domain.distance(rows) <= 1.0).all()) for rows in trajectories]))
 
 
+def sampled_at(trajectories: list[Array], task: Task) -> Task:
+    """Return a task whose step is the median distance of neighbours in pose trajectories (N, 7)."""
+    steps = np.concatenate([pose.position_distance(rows[1:], rows[:-1]) for rows in trajectories])
+    return task.model_copy(update={"step_m": float(np.median(steps))})
+
+
 def sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSettings) -> dict[str, float | None] | None:
     """Return the held-out one-step errors at the paper's sampling, beside those of predicting no motion."""
     if len(demonstrations) == 1:
         return None
     trajectories = [to_count(item.poses, _PAPER_SAMPLES) for item in demonstrations.items]
+    task = sampled_at(trajectories, task)
     errors, motions = [], []
     for index, held_out in enumerate(trajectories):
         others = trajectories[:index] + trajectories[index + 1 :]

@@ -9,15 +9,18 @@ from koopdqn import pose
 from koopdqn.config.settings import Name, Settings
 from koopdqn.intent.edmd import KoopmanModel
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 
-# Steps that an additional pair reaches at most: a person who comes back over half a metre does not mean that far.
-_REACH_STEPS = 10.0
+# Below this [m, or of a quaternion's entries] a roll-out has come to rest.
+_AT_REST = 1e-9
+# How far from its pose an additional pair changes the prediction, in steps: what an answer says of its surroundings.
+_REACH_STEPS = 7.0
 
 
 def reach_of(task: Task) -> float:
-    """Return how far from its pose an answer changes the prediction [m]: the look-ahead, or ten steps if shorter."""
-    return min(task.pull_back_m, _REACH_STEPS * task.step_m)
+    """Return how far from its pose an answer changes the prediction [m]."""
+    return _REACH_STEPS * task.step_m
 
 
 class IntentSettings(Settings, ABC):
@@ -27,7 +30,7 @@ class IntentSettings(Settings, ABC):
 
     @abstractmethod
     def fit(self, trajectories: list[Array], task: Task) -> "IntentModel":
-        """Return the model fitted to pose trajectories (N, 7), already sampled at the agent's step.
+        """Return the model fitted to pose trajectories (N, 7), already sampled at the agent's step and placed.
 
         Where there is a choice of ridges it is that of the first.
         """
@@ -38,6 +41,10 @@ class IntentSettings(Settings, ABC):
         The first is the one taken where nothing can choose.
         """
         return {self.ridges[0]: self.fit(trajectories, task)}
+
+    def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
+        """Return the frame in which trajectories (N, 7) are to be told before they are fitted."""
+        return STILL
 
     @property
     @abstractmethod
@@ -59,10 +66,12 @@ class IntentModel(ABC):
     Attributes:
         goal: the goal pose (7,).
         reach: how far from its pose an additional pair changes the prediction [m].
+        start_frame: in which it knows poses; all but :meth:`intended` take them as placed there.
     """
 
     goal: Array
     reach: float
+    start_frame: StartFrame = STILL
 
     @classmethod
     def restore(cls, arrays: Mapping[str, np.ndarray], settings: IntentSettings) -> "IntentModel":
@@ -81,10 +90,18 @@ class IntentModel(ABC):
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7), Eqs. 13, 14."""
 
+    def intended(self, poses: Array, starts: Array) -> Array:
+        """Return the predicted next poses (N, 7) of poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        return self.start_frame.unplaced(self.predict(self.start_frame.placed(poses, starts)), starts, poses)
+
     @property
     @abstractmethod
     def matrices(self) -> dict[str, KoopmanModel]:
         """The Koopman models it consists of, by the names that reports give them: K, or K_p and K_o."""
+
+    def within(self, frame: StartFrame) -> "IntentModel":
+        """Return the model, fitted to trajectories placed in a frame, with that frame."""
+        return self
 
     @abstractmethod
     def arrays(self) -> dict[str, np.ndarray]:
@@ -106,7 +123,10 @@ class IntentModel(ABC):
         p + s·(p̂ − p)/‖p̂ − p‖: raw predictions shorten where demonstrations disagree, and then
         standing still would be the right action. Orientation is predicted as it is.
         """
-        predicted = self.predict(poses)
+        return self.to_step(poses, self.predict(poses), step)
+
+    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
+        """Return predictions (N, 7) made from poses (N, 7) as motions of one step [m], at most up to the goal."""
         position = poses[:, pose.POSITION]
         motion = predicted[:, pose.POSITION] - position
         length = np.linalg.norm(motion, axis=1, keepdims=True)
@@ -117,6 +137,10 @@ class IntentModel(ABC):
     def roll_out(self, starts: Array, steps: int, step: float | None = None) -> Array:
         """Return poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), rescaled if ``step`` is given."""
         poses = [starts]
-        for _ in range(steps):
+        for done in range(steps):
             poses.append(self.predict(poses[-1]) if step is None else self.preferred(poses[-1], step))
+            if np.abs(poses[-1] - poses[-2]).max(initial=0.0) < _AT_REST:
+                # What rests now rests for good.
+                poses += [poses[-1]] * (steps - done - 1)
+                break
         return np.array(poses)

@@ -9,7 +9,7 @@ from koopdqn.config.settings import Settings
 from koopdqn.pose import Array
 from koopdqn.tasks.path import SmoothPath, arc_lengths
 
-_SPACING_M = 1e-3
+SPACING_M = 1e-3
 _AGAINST = 0.5
 """Cosine between two directions of travel below which a model of states alone cannot follow both at one place."""
 
@@ -63,7 +63,7 @@ class Course:
     @classmethod
     def along(cls, positions: Array, pull_back: float, touching: float) -> "Course":
         """Return the course of demonstrated positions (N, 3) [m]."""
-        path = SmoothPath.along(positions, _SPACING_M)
+        path = SmoothPath.along(positions, SPACING_M)
         directions = np.gradient(path.points, axis=0)
         directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
         arc = np.arange(len(path.points)) * path.spacing
@@ -84,7 +84,7 @@ class Course:
         exact on the path itself, where aiming at a point ahead would cut its curves.
         """
         index = self.nearest(positions)
-        back = (self.points[index] - positions) / np.maximum(self.ahead[index], _SPACING_M)[:, None]
+        back = (self.points[index] - positions) / np.maximum(self.ahead[index], SPACING_M)[:, None]
         heading = self.directions[index] + back
         heading /= np.maximum(np.linalg.norm(heading, axis=1, keepdims=True), 1e-12)
         left = np.linalg.norm(self.points[-1] - positions, axis=1, keepdims=True)
@@ -106,7 +106,7 @@ def surrounded(trajectories: list[Array], spread: float, settings: Stabilisation
         before, after = positions[:-1], positions[1:]
         motion = after - before
         length = np.linalg.norm(motion, axis=1, keepdims=True)
-        if not settings.copies + settings.far_copies or arc_lengths(positions)[-1] < _SPACING_M:
+        if not settings.copies + settings.far_copies or arc_lengths(positions)[-1] < SPACING_M:
             found.append(Pairs(before, after, np.ones(len(before))))
             continue
         course = Course.along(positions, settings.pull_back_m, settings.touching_m)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import to_count
+from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.intent.trust import TrustDomain, TrustSettings, no_balls, squared_distances
 from koopdqn.pose import Array
 from koopdqn.tasks.path import arc_lengths
@@ -94,11 +94,7 @@ class Middle:
         """
         length = float(np.mean([arc_lengths(rows[:, pose.POSITION])[-1] for rows in trajectories]))
         count = max(2, int(np.ceil(length / settings.spacing_m)) + 1)
-        aligned = np.array([to_count(rows, count) for rows in trajectories])
-        turns = aligned[..., pose.QUATERNION]
-        # q and −q are the same rotation.
-        turns = turns * np.where((turns * turns[0]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
-        poses = pose.make(aligned[..., pose.POSITION].mean(axis=0), pose.normalized(turns.mean(axis=0)))
+        poses = mean_poses(trajectories, count)
         gaps = np.array([_gaps(poses, rows) for rows in trajectories])
         variance = (gaps**2).sum(axis=0) / max(1, len(trajectories) - 1)
         floor = np.array([settings.floor_m, settings.floor_rad])

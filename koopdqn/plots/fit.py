@@ -64,7 +64,7 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
     turns = report["one_step_error_rad"] is not None
     if turns:
         title += f", {np.degrees(report['one_step_error_rad']['rms']):.2g}°"
-    trajectories = agent_steps(demonstrations, task)
+    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
     with picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 6, height_ratios=(1, 1.15))
         if measured:

@@ -86,7 +86,7 @@ def shelf_errors(material: Material, folder: Path) -> Figure:
         " Shaded: steps outside the trust domain drawn from the others, or where the model's held-out error is over"
         " its limit, so that the expert is asked. Largest raw error at the agent's step"
         f" {1e3 * errors['paper'].error[:, 0].max():.2f} mm by the paper's lift,"
-        f" {1e3 * errors['fourier'].error[:, 0].max():.2f} mm by the default. The bounds in the lowest panel are those"
+        f" {1e3 * errors['pose'].error[:, 0].max():.2f} mm by the default. The bounds in the lowest panel are those"
         " that the paper's text states; its curve is not redrawn."
     )
     panels = (Panel(path, "Errors over steps"),)
@@ -180,7 +180,7 @@ def knife_errors(material: Material, folder: Path) -> Figure:
     largest = [
         f"{np.degrees(errors[name].error[:, 1].max()):.2f}° and"
         f" {1e3 * errors[name].error[:, 0].max():.2f} mm by the {who}"
-        for name, who in (("paper", "paper's lift"), ("fourier", "default"))
+        for name, who in (("paper", "paper's lift"), ("pose", "default"))
     ]
     caption = (
         f"One-step error of orientation (Eq. 16) on demonstration {SHOWN}, predicted by models fitted to the others;"

@@ -9,12 +9,13 @@ from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.resample import to_count
 from koopdqn.intent.fitting import agent_steps, fit
+from koopdqn.intent.measures import sampled_at
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
-INTENTS: Final = ("paper", "fourier", "line", "joint")
+INTENTS: Final = ("paper", "pose", "line", "joint")
 """The compared options of the config group ``intent``, in the order of tables."""
 SAMPLES: Final = 60
 """Poses of a demonstration in the comparison with the paper, whose figures mention steps up to 52."""
@@ -90,7 +91,7 @@ def study(
     """
     fitted = fit(demonstrations, task, intent, trust)
     intent = intent.with_ridge(fitted.report["ridge"])
-    trajectories = agent_steps(demonstrations, task)
+    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
     raw, rescaled = [], []
     for index, trajectory in enumerate(trajectories):
         model = IntentModel.fit(_without(trajectories, index), task, intent)
@@ -107,7 +108,7 @@ def study(
 
 def _sixty(demonstrations: Demonstrations, task: Task, intent: IntentSettings, shown: int) -> Array:
     trajectories = [to_count(item.poses, SAMPLES) for item in demonstrations.items]
-    model = IntentModel.fit(_without(trajectories, shown), task, intent)
+    model = IntentModel.fit(_without(trajectories, shown), sampled_at(trajectories, task), intent)
     return _distances(model.predict(trajectories[shown][:-1]), trajectories[shown][1:])
 
 

@@ -65,7 +65,7 @@ class Material:
     @property
     def fits(self) -> tuple[Path, ...]:
         """The files of the paper's lift and of the default, which figures show."""
-        return tuple(self.studies[name][1] for name in ("paper", "fourier"))
+        return tuple(self.studies[name][1] for name in ("paper", "pose"))
 
 
 Intents = Mapping[str, tuple[IntentSettings, TrustSettings]]

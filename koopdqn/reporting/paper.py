@@ -14,7 +14,7 @@ from koopdqn.reporting.intents import IntentStudy
 from koopdqn.reporting.numbers import NONE, NOT_GIVEN, measured, trained
 from koopdqn.reporting.tables import Studies
 
-_LIFT = {DEFAULT: "fourier", PAPER: "paper"}
+_LIFT = {DEFAULT: "pose", PAPER: "paper"}
 """The intent of each preset."""
 _MOST_STEPS_M = 1.5e-3
 

@@ -17,7 +17,7 @@ Studies = Mapping[str, Mapping[str, tuple[IntentStudy, Path]]]
 _BASELINES = ("straight_line", "greedy", "nearest_demonstration")
 _INTENT_NAMES = {
     "paper": "paper: second-order lift, K = A G†",
-    "fourier": "fourier: the default",
+    "pose": "pose: the default",
     "line": "line: least-squares line",
     "joint": "joint: one K for the whole pose",
 }

@@ -13,7 +13,9 @@ from koopdqn.schema import Sha256
 from koopdqn.tasks.demonstrated_law import DemonstratedLaw
 from koopdqn.tasks.law import Law
 from koopdqn.tasks.path import SmoothPath
-from koopdqn.tasks.task import TURNS_PER_STEP, Task
+from koopdqn.tasks.start_frame import StartFrame
+from koopdqn.tasks.step import IN_PLACE
+from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -38,6 +40,10 @@ class DemonstratedTask(Task):
     )
     held_limit_rad: float = Field(gt=0, description="turn away from the goal that breaks the rule, where held [rad]")
     start_margin_m: float = Field(gt=0, description="how far a start lies from a demonstrated one, along each axis [m]")
+    follows_start: bool = Field(
+        description="whether a path keeps beside the others what its start lies beside theirs, less and less toward"
+        " the goal"
+    )
     holdout: int = Field(ge=0, description="demonstrations kept for evaluation")
     training: Sha256 = Field(description="of the training demonstrations' content")
 
@@ -92,11 +98,18 @@ class DemonstratedTask(Task):
         nearest = min(self.trajectories, key=lambda each: float(pose.position_distance(each[0], self.nominal_start)))
         return SmoothPath.along(nearest[:, pose.POSITION])
 
+    @property
+    def person_frame(self) -> StartFrame:
+        """The frame that the demonstrations, left out one at a time, ask for."""
+        return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], self.follows_start)
+
     @cached_property
     def demonstrator(self) -> Law:
-        """The law of the training demonstrations: go on as the nearest one was going."""
-        largest_turn = TURNS_PER_STEP * self.rotation_tolerance_rad if self.turning == "geodesic" else 0.0
-        return DemonstratedLaw.of(self.trajectories, self.goal, self.step_m, self.pull_back_m, largest_turn)
+        """The law of the training demonstrations: along their mean, all told as from the nominal start."""
+        turn = IN_PLACE * self.rotation_tolerance_rad if self.turning == "geodesic" else 0.0
+        return DemonstratedLaw.of(
+            self.person_frame.each(self.trajectories), self.goal, self.step_m, self.pull_back_m, turn
+        )
 
     def with_starts_scaled(self, scale: float) -> Self:
         """Return the task with ``scale`` times the distance that a start may lie from a demonstrated one."""

@@ -1,16 +1,11 @@
 """A smooth path in space, measured by its arc length."""
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from koopdqn.pose import Array
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
 
 
 @dataclass(frozen=True)
@@ -63,40 +58,6 @@ class SmoothPath:
         """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""
         index = np.rint(np.asarray(arc) / self.spacing).astype(int)
         return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
-
-
-@dataclass(frozen=True)
-class PathSet:
-    """Curves taken together.
-
-    Attributes:
-        paths: the curves, at least one.
-        spread: (P,) how far what each of their points stands for lies apart [m], one curve's points after another's;
-            None for nothing.
-    """
-
-    paths: tuple[SmoothPath, ...]
-    spread: Array | None = None
-
-    def distance(self, positions: ArrayLike) -> Array:
-        """Return the distance (N,) [m] of positions (N, 3) [m] from the nearest point of any of the curves."""
-        distance, _ = self._tree.query(np.asarray(positions, dtype=float))
-        return np.asarray(distance)
-
-    def foot(self, positions: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return of the point of any of the curves that is nearest to each position (N, 3) [m]: how far, where, spread.
-
-        That is the distance (N,) [m], the point (N, 3) [m] and the spread there (N,) [m].
-        """
-        distance, index = self._tree.query(np.asarray(positions, dtype=float))
-        spread = np.zeros(len(index)) if self.spread is None else self.spread[index]
-        return np.asarray(distance), np.asarray(self._tree.data[index]), spread
-
-    @cached_property
-    def _tree(self) -> "KDTree":
-        from scipy.spatial import KDTree
-
-        return KDTree(np.concatenate([path.points for path in self.paths]))
 
 
 def arc_lengths(points: ArrayLike) -> Array:

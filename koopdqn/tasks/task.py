@@ -8,11 +8,12 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Count, Settings, Vector3, Vector4
+from koopdqn.config.settings import Settings, Vector3, Vector4
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrator import Demonstrator, TurnLaw
 from koopdqn.tasks.law import Law
 from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.start_frame import STILL, StartFrame
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -27,14 +28,6 @@ TURNS_PER_STEP = 5.0
 _LEAST_CHORD_M = 1e-3
 # The paper's lift has no constant; a yaw that stays at this value [rad] is one.
 _CONSTANT_YAW = 1.0
-
-
-class PaperSettings(Settings):
-    """What Table A1 and Appendix 7.1 of the paper give for one task."""
-
-    hidden: int = Field(gt=0, description="units in each of the two hidden layers")
-    learning_rate: float = Field(gt=0)
-    episodes: int = Field(gt=0)
 
 
 class TaskChoice(Settings, ABC):
@@ -64,35 +57,10 @@ class Task(TaskChoice):
     pull_back_m: float = Field(
         ge=1e-3,
         le=1.0,
-        description="how far ahead the demonstrator looks along its path, and the intent model's made-up states [m]",
-    )
-    far_copies: int = Field(
-        ge=0,
-        le=100,
-        description="made-up states far from each demonstrated one that the intent model gets by default: how a person"
-        " comes from farther than demonstrated",
-    )
-    far_weight: float = Field(gt=0, le=1, description="what each of them counts beside a demonstrated one, by default")
-    centring: float = Field(
-        ge=0,
-        le=1,
-        description="how much, among right actions, coming nearer to the demonstrated path counts rather than coming"
-        " nearer to the predicted pose: near 1 for a person who keeps to a path, 0 for one who heads for the goal",
-    )
-    centring_path: Literal["mean", "nearest"] = Field(
-        description="that path: the mean of the demonstrations, for people who all mean the same path, or whichever"
-        " demonstration is nearest, for those who keep to a path of their own from their own start"
-    )
-    lead_back_m: float = Field(
-        ge=0,
-        le=1.0,
-        description="how far beside that path the model's prediction leads back to it at 45°, but for what has faded"
-        " there [m]; 0: never",
+        description="how far ahead the demonstrator looks along its path [m]",
     )
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
-    checks_to_learn: Count = Field(description="passed checks in a row that count as learned, by default")
-    paper: PaperSettings
 
     @model_validator(mode="after")
     def _check_step(self) -> "Task":
@@ -132,6 +100,11 @@ class Task(TaskChoice):
     @abstractmethod
     def rule_broken(self, poses: Array) -> np.ndarray:
         """Return whether each pose (N, 7) breaks the task's own rule, as booleans (N,)."""
+
+    @property
+    def person_frame(self) -> StartFrame:
+        """In which frame the person's law knows poses: as they are, unless the person follows their start."""
+        return STILL
 
     @property
     def turn_law(self) -> TurnLaw | None:

@@ -6,8 +6,9 @@ import numpy as np
 
 from koopdqn.dqn.observation import observe
 from koopdqn.dqn.replay import Transitions
+from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED, Judgement
-from koopdqn.feedback.scripted import demonstrator_agrees
+from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 from koopdqn.training.history import History
@@ -21,12 +22,14 @@ class Trial:
         episode: number of the episode.
         step: steps made in it before.
         pose: (7,) before the action.
+        start: (7,) where the episode began.
         action: index in Table 1.
     """
 
     episode: int
     step: int
     pose: Array
+    start: Array
     action: int
 
 
@@ -40,6 +43,7 @@ class Tries:
         actions: (M,) indices in Table 1.
         observations: (M, inputs) before the actions.
         poses: (M, 7) before them.
+        starts: (M, 7) where their episodes began.
         steps: (M,) steps of the episode before them.
         cut: whether the episode was cut at its step limit after them.
     """
@@ -49,6 +53,7 @@ class Tries:
     actions: np.ndarray
     observations: np.ndarray
     poses: Array
+    starts: Array
     steps: np.ndarray
     cut: bool = False
 
@@ -58,7 +63,8 @@ class Tries:
     ) -> "Tries":
         """Return one trial as tries, its pose observed as (inputs,) and judged in a row."""
         each = np.array([row]), np.array([trial.action])
-        return cls(judgement, *each, observation[None], trial.pose[None], np.array([trial.step]), cut)
+        places = trial.pose[None], trial.start[None]
+        return cls(judgement, *each, observation[None], *places, np.array([trial.step]), cut)
 
     @property
     def rewards(self) -> Array:
@@ -73,11 +79,12 @@ class Tries:
             self.observations,
             self.actions,
             self.rewards.astype(np.float32),
-            observe(judgement.reached[each], task),
+            observe(judgement.placed_reached[each], task),
             terminated=judgement.at_goal[each] & ~wrong,
             truncated=np.full(len(self.rows), self.cut),
             undone=wrong & step_back,
             poses=self.poses,
+            starts=self.starts,
             steps=self.steps,
             sources=judgement.source[each],
             answers=judgement.answer[each],
@@ -90,7 +97,10 @@ class Tries:
         counted = sources != RULE
         if not counted.any():
             return
-        agrees = demonstrator_agrees(task, self.poses[counted], self.judgement.reached[each][counted])
+        # Once a state, of which there are up to ten tries.
+        _, first, state = np.unique(self.rows[counted], return_index=True, return_inverse=True)
+        wished = demonstrator_wishes(task, self.poses[counted][first], self.starts[counted][first])[state]
+        agrees = within_tolerance(self.judgement.reached[self.rows[counted], self.actions[counted]], wished, task)
         same = agrees == (self.rewards[counted] >= 0)
         for source in (TRUSTED, ASKED, REMEMBERED):
             history.judged[source] += int((sources == source).sum())

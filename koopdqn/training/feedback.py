@@ -5,7 +5,6 @@ from typing import Literal
 
 import numpy as np
 
-from koopdqn import pose
 from koopdqn.dqn.replay import ReplayBuffer
 from koopdqn.environment.reward import REMEMBERED, TRUSTED, IntentReward, Judgement
 from koopdqn.feedback.memory import AnswerMemory, FeedbackSettings
@@ -36,8 +35,8 @@ class Outcome:
 
     Attributes:
         right: whether the action was right; None if there was no answer.
-        reopened: poses (7,) and actions of which other things are known than when they were last tried: their answer
-            was withdrawn, or they are what would have been right.
+        reopened: placed poses (7,) and actions of which other things are known than when they were last tried: their
+            answer was withdrawn, or they are what would have been right.
     """
 
     right: bool | None
@@ -94,10 +93,10 @@ class Feedback:
         """Whether training is over because the budget is spent."""
         return self.spent and self._budget.when_spent == "stop"
 
-    def judge(self, poses: Array, steps: np.ndarray) -> Judgement:
+    def judge(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> Judgement:
         """Return what is known without asking, answers included; see :meth:`IntentReward.judge`."""
-        judgement = self.reward.judge(poses, steps)
-        places = self.memory.recall(poses, judgement.margin)
+        judgement = self.reward.judge(poses, steps, starts)
+        places = self.memory.recall(judgement.placed, judgement.margin)
         recalled = (places >= 0) & ~judgement.known
         for index, action in np.argwhere(recalled):
             place = places[index, action]
@@ -109,7 +108,7 @@ class Feedback:
         return judgement
 
     def covers(self, yeses: Array, point: Array) -> bool:
-        """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,)."""
+        """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,), all placed."""
         if not self._settings.extend:
             return False
         return bool(Balls(yeses, self._radii(yeses), self._base.trust.balls.turn).holds(point[None])[0])
@@ -139,7 +138,7 @@ class Feedback:
         self.questions += 1
         reopened = self._withdraw(answer.undo, replay) if answer.undo else []
         if answer.better is not None:
-            reopened.append((question.pose, answer.better))
+            reopened.append((judgement.placed[index].copy(), answer.better))
         self._learn(number, question, answer, judgement, index, replay)
         judgement.answer[index, question.action] = number
         return Outcome(answer.right, tuple(reopened))
@@ -156,23 +155,22 @@ class Feedback:
             self._standing.append(number)
         for action, right in said:
             margin = float(judgement.margin[index, action])
-            reached = judgement.reached[index, action].copy()
-            self.memory.add(number, question.pose, action, reached, right=right, margin=margin)
+            here, there = judgement.placed[index].copy(), judgement.placed_reached[index, action].copy()
+            self.memory.add(number, here, action, there, right=right, margin=margin)
             if right and self._settings.extend:
                 self._extend()
                 if margin < 0:
-                    self._recompute(question.pose[None], replay)
+                    self._recompute(here[None], replay)
 
     def _extend(self) -> None:
         yeses, before, after = self.memory.extension()
         self.reward = self._base.extended(yeses, self._radii(yeses), before, after)
 
     def _radii(self, poses: Array) -> Array:
-        aside = self._base.path.distance(poses[:, pose.POSITION]) if len(poses) else np.zeros(0)
-        return np.maximum(self._settings.least_reach_m, self._settings.reach * aside)
+        return np.full(len(poses), self._settings.reach_m)
 
     def _withdraw(self, count: int, replay: ReplayBuffer) -> list[tuple[Array, int]]:
-        """Withdraw the latest answers; return the poses (7,) and actions that they were about."""
+        """Withdraw the latest answers; return the placed poses (7,) and actions that they were about."""
         latest = self._standing[-count:]
         del self._standing[-count:]
         self.changes += 1
@@ -187,15 +185,16 @@ class Feedback:
         return about
 
     def _recompute(self, poses: Array, replay: ReplayBuffer) -> None:
-        """Give the trusted rewards near poses (M, 7) their present values; what is trusted no more is taken out."""
+        """Give the trusted rewards near placed poses (M, 7) their present values; what is no more trusted goes."""
         held = replay.held()
         far = np.maximum(self._radii(poses), 2.0 * self.reward.model.reach)
-        moved = np.linalg.norm(held.poses[:, None, :3] - poses[None, :, :3], axis=2)
+        placed = self.reward.model.start_frame.placed(held.poses, held.starts)
+        moved = np.linalg.norm(placed[:, None, :3] - poses[None, :, :3], axis=2)
         rows = np.flatnonzero((held.sources == TRUSTED) & (moved <= far).any(axis=1))
         lost = np.zeros(len(replay), dtype=bool)
         for begin in range(0, len(rows), _TOGETHER):
             part = rows[begin : begin + _TOGETHER]
-            judged = self.reward.judge(held.poses[part], held.steps[part])
+            judged = self.reward.judge(held.poses[part], held.steps[part], held.starts[part])
             each = np.arange(len(part)), held.actions[part]
             rewards = judged.reward[each].astype(np.float32)
             replay.revalue(part, rewards, judged.at_goal[each], step_back=self.step_back)

@@ -57,8 +57,9 @@ class Gathering:
         """Gather a trial of episode ``index`` of the batch; return whether that was its last question."""
         self._trials[index].append(trial)
         questions = self._questions[index]
-        if not self._feedback.covers(_poses(questions), trial.pose):
-            questions.append(trial.pose)
+        here = _placed([trial], self._feedback)[0]
+        if not self._feedback.covers(_poses(questions), here):
+            questions.append(here)
         return len(questions) >= self._asking.most
 
     def take(self, index: int) -> list[Trial]:
@@ -74,6 +75,7 @@ class Gathering:
             "episodes": np.array([trial.episode for _, trial in held], dtype=np.int64),
             "steps": np.array([trial.step for _, trial in held], dtype=np.int64),
             "poses": _poses([trial.pose for _, trial in held]),
+            "starts": _poses([trial.start for _, trial in held]),
             "actions": np.array([trial.action for _, trial in held], dtype=np.int64),
         }
 
@@ -82,8 +84,9 @@ class Gathering:
         for index in range(len(self._trials)):
             self.take(index)
         columns = (state[name].tolist() for name in ("rows", "episodes", "steps", "actions"))
-        for index, episode, step, action, pose in zip(*columns, state["poses"], strict=True):
-            self.add(index, Trial(episode, step, pose.copy(), action))
+        places = state["poses"], state["starts"]
+        for index, episode, step, action, pose, start in zip(*columns, *places, strict=True):
+            self.add(index, Trial(episode, step, pose.copy(), start.copy(), action))
 
 
 def question_about(
@@ -98,15 +101,16 @@ def question_about(
         row: of the judgement.
         place: where the question stands among those of its episode; None if it is asked at once.
     """
-    reached, trust = judgement.reached[row, trial.action].copy(), reward.trust
+    placed, trust = judgement.placed_reached[row, trial.action], reward.trust
     return Question(
         episode=trial.episode,
         step=trial.step,
         pose=trial.pose,
+        start=trial.start,
         action=trial.action,
-        reached=reached,
+        reached=judgement.reached[row, trial.action].copy(),
         predicted=judgement.predicted[row].copy(),
-        reason=trust.outside(reached, trial.step + 1) or trust.outside(trial.pose, trial.step),
+        reason=trust.outside(placed, trial.step + 1) or trust.outside(judgement.placed[row], trial.step),
         candidates=judgement.reached[row].copy(),
         place=place,
     )
@@ -142,7 +146,7 @@ def settled(trials: list[Trial], feedback: Feedback, ask: Ask, limit: int) -> It
                 continue
         wrong_and_back = bool(judgement.reward[row, trial.action] < 0) and feedback.step_back
         cut = not wrong_and_back and not judgement.at_goal[row, trial.action] and trial.step + 1 >= limit
-        observation = observe(trial.pose[None], feedback.reward.task)[0]
+        observation = observe(judgement.placed[row, None], feedback.reward.task)[0]
         yield Tries.of_one(trial, judgement, row, observation, cut=bool(cut))
         if wrong_and_back:
             return
@@ -150,16 +154,22 @@ def settled(trials: list[Trial], feedback: Feedback, ask: Ask, limit: int) -> It
 
 def _judged(trials: list[Trial], feedback: Feedback) -> Judgement:
     steps = np.array([trial.step for trial in trials], dtype=np.int64)
-    return feedback.judge(_poses([trial.pose for trial in trials]), steps)
+    poses, starts = _poses([trial.pose for trial in trials]), _poses([trial.start for trial in trials])
+    return feedback.judge(poses, steps, starts)
 
 
 def _questions(trials: list[Trial], known: np.ndarray, feedback: Feedback) -> int:
     """Return how many of the trials will be asked about if all answers are yes, given what is known (N, 10)."""
     questions: list[Array] = []
-    for row, trial in enumerate(trials):
-        if not known[row, trial.action] and not feedback.covers(_poses(questions), trial.pose):
-            questions.append(trial.pose)
+    for row, (trial, here) in enumerate(zip(trials, _placed(trials, feedback), strict=True)):
+        if not known[row, trial.action] and not feedback.covers(_poses(questions), here):
+            questions.append(here)
     return len(questions)
+
+
+def _placed(trials: list[Trial], feedback: Feedback) -> Array:
+    poses, starts = _poses([trial.pose for trial in trials]), _poses([trial.start for trial in trials])
+    return feedback.reward.model.start_frame.placed(poses, starts)
 
 
 def _poses(poses: list[Array]) -> Array:

@@ -25,6 +25,8 @@ from koopdqn.training.history import Check, History
 from koopdqn.training.settings import TrainSettings
 from koopdqn.workcell import Workcell
 
+# Below this [m, or of a quaternion's entries] two poses are one.
+_SAME = 1e-12
 _COUNTERS = ("env_steps", "next_episode", "rounds", "learned_at", "passed", "best_success", "best_update")
 
 
@@ -59,7 +61,7 @@ class Trainer:
         Args:
             workcell: task, arm and scene.
             reward: the task's reward function.
-            trajectories: demonstrated poses (N, 7) at the agent's step.
+            trajectories: demonstrated poses (N, 7) at the agent's step, placed in the intent's frame.
             oracle: who answers where the model is not trusted.
             agent: how it learns.
             settings: when it stops.
@@ -79,7 +81,7 @@ class Trainer:
         self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
         self.replay = ReplayBuffer(agent.replay, size(self._task))
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
-        self._starts = start_sampler(workcell, trajectories, agent, self.step_limit)
+        self._starts = start_sampler(workcell, reward.model.start_frame, trajectories, agent, self.step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
         self._gathering = Gathering(asking, self.feedback, len(self._batch))
         self.next_episode = 0
@@ -95,6 +97,11 @@ class Trainer:
         self.best_update = 0
         self.best = self.learner.policy_arrays()
         self._losses: list[float] = []
+
+    @property
+    def policy(self) -> Policy:
+        """The policy as it is now."""
+        return Policy(self.learner.policy_network, self._task, self.feedback.reward.model.start_frame)
 
     @property
     def learned(self) -> bool:
@@ -147,8 +154,8 @@ class Trainer:
 
     def _round(self) -> None:
         """Let every episode try one action, after all that is known anyway where ``trials`` says so."""
-        judgement = self.feedback.judge(self._batch.poses, self._batch.steps)
-        observations = observe(self._batch.poses, self._task)
+        judgement = self._judge()
+        observations = observe(judgement.placed, self._task)
         values = self.learner.online.values(observations)
         if self.agent.trials == "all":
             self._try_known(judgement, observations)
@@ -157,8 +164,11 @@ class Trainer:
             if self.feedback.changes > changes:
                 # What one episode's answer has taught, or an undo has taken back, holds for the next one already.
                 changes = self.feedback.changes
-                judgement = self.feedback.judge(self._batch.poses, self._batch.steps)
+                judgement = self._judge()
             self._act(index, judgement, values[index], observations[index])
+
+    def _judge(self) -> Judgement:
+        return self.feedback.judge(self._batch.poses, self._batch.steps, self._batch.starts)
 
     def _try_known(self, judgement: Judgement, observations: np.ndarray) -> None:
         batch = self._batch
@@ -167,7 +177,8 @@ class Trainer:
             if self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index]).joints is None:
                 self._refuse(judgement, index, action)
         rows, actions = np.nonzero(mask)
-        self._keep(Tries(judgement, rows, actions, observations[rows], batch.poses[rows], batch.steps[rows]))
+        places = batch.poses[rows], batch.starts[rows], batch.steps[rows]
+        self._keep(Tries(judgement, rows, actions, observations[rows], *places))
         batch.stored[rows, actions] = True
 
     def _refuse(self, judgement: Judgement, index: int, action: int) -> None:
@@ -181,10 +192,11 @@ class Trainer:
         if action is None:
             # A question without an answer may have been about what is right.
             if not (batch.tried[index] & ~batch.stored[index]).any():
-                self.feedback.memory.contradict(batch.poses[index])
+                self.feedback.memory.contradict(judgement.placed[index])
             self._end(index)
             return
-        trial = Trial(int(batch.numbers[index]), int(batch.steps[index]), batch.poses[index].copy(), action)
+        places = batch.poses[index].copy(), batch.starts[index].copy()
+        trial = Trial(int(batch.numbers[index]), int(batch.steps[index]), *places, action)
         motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
         if motion.joints is None:
             self._refuse(judgement, index, action)
@@ -232,8 +244,10 @@ class Trainer:
         """Ask the oracle; return whether it answered (a skip is not a no)."""
         question = question_about(trial, self.feedback.reward, judgement, row, place)
         outcome = self.feedback.ask(question, judgement, row, self.replay)
+        placed = self.feedback.reward.model.start_frame.placed(self._batch.poses, self._batch.starts)
         for point, other in outcome.reopened:
-            self._batch.reopen(point, other)
+            # To rounding: places that are told from another start are computed anew.
+            self._batch.reopen(np.abs(placed - point).max(axis=1) < _SAME, other)
         return outcome.right is not None
 
     def _gather(self, index: int, trial: Trial, judgement: Judgement, joints: Array) -> None:
@@ -261,7 +275,7 @@ class Trainer:
         self._begin(index)
 
     def _check(self) -> Check:
-        success, failures = self._checker.measure(Policy(self.learner.policy_network, self._task))
+        success, failures = self._checker.measure(self.policy)
         check = Check(self.learner.updates, self.env_steps, len(self.history.rewards), success, failures)
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))

@@ -18,8 +18,8 @@ WIDTH: Final = 840
 _MM: Final = 1e3
 _PAPER_BOUNDS_MM: Final = (1.5, 2.3)
 """§5.1: errors under the first at most steps, under the second at steps 48 to 52."""
-NAMES: Final = {"paper": "the paper's lift", "fourier": "default lift", "line": "line", "joint": "one K for the pose"}
-_COLOURS: Final = {"paper": ORANGE, "fourier": BLUE, "line": PINK, "joint": SKY}
+NAMES: Final = {"paper": "the paper's lift", "pose": "default lift", "line": "line", "joint": "one K for the pose"}
+_COLOURS: Final = {"paper": ORANGE, "pose": BLUE, "line": PINK, "joint": SKY}
 
 Quantity = Literal["position", "rotation"]
 
@@ -44,7 +44,7 @@ def plot_errors(
     tolerance = (task.position_tolerance_m if quantity == "position" else task.rotation_tolerance_rad) * scale
     with picture(path, title, WIDTH, 1050) as figure:
         upper, lower, sixty = figure.subplots(3, 1)
-        for axes, name in ((upper, "paper"), (lower, "fourier")):
+        for axes, name in ((upper, "paper"), (lower, "pose")):
             _at_agents_step(axes, studies[name], column, scale, tolerance, unit)
         _at_paper_sampling(sixty, studies, column, scale, unit, _PAPER_BOUNDS_MM if bounds else ())
 
@@ -85,7 +85,7 @@ def _at_paper_sampling(
     axes: Axes, studies: Mapping[str, IntentStudy], column: int, scale: float, unit: str, bounds: Sequence[float]
 ) -> None:
     highest = max(bounds, default=0.0)
-    for name in ("paper", "fourier"):
+    for name in ("paper", "pose"):
         error = studies[name].held_out.sixty[:, column] * scale
         axes.plot(error, color=_COLOURS[name], marker=".", markersize=4, label=NAMES[name])
         highest = max(highest, float(error.max()))
@@ -138,7 +138,7 @@ def plot_line_error(path: Path, trajectory: Array, studies: Mapping[str, IntentS
         axes = figure.subplots()
         distance = line_distance(trajectory) * _MM
         axes.plot(distance, color=_COLOURS["line"], label="trajectory from its fitted line")
-        for name in ("paper", "fourier"):
+        for name in ("paper", "pose"):
             error = studies[name].held_out.error[:, 0] * _MM
             axes.plot(error, color=_COLOURS[name], label=f"one-step error, {NAMES[name]}")
         axes.set_yscale("log")

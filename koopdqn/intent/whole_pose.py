@@ -1,0 +1,181 @@
+"""One Koopman model of the whole pose: what is left to turn is predicted from where the tool is.
+
+People turn by 0.2 to 0.3 degrees a step over a whole path. Predicted from the orientation alone, "do not turn" is then
+always nearest; predicted from the place, a tool that lags behind in its turn is told to turn.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.config.settings import Interval
+from koopdqn.demonstrations.resample import mean_poses, to_count
+from koopdqn.intent.edmd import KoopmanModel
+from koopdqn.intent.model import IntentModel, IntentSettings, reach_of
+from koopdqn.intent.observables import Observables, RandomFourier
+from koopdqn.intent.stabilise import SPACING_M, Course
+from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.step import IN_PLACE, one_step
+from koopdqn.tasks.task import Task
+
+# Place [m], and the entries of R − I.
+_PLACE, _TURN = slice(0, 3), slice(3, 12)
+
+
+class FeaturesOfPlace(Observables):
+    """Random Fourier features of the place, the first three components of a state; its turn enters linearly."""
+
+    fourier: RandomFourier
+
+    def features(self, states: Array) -> Array:
+        """Return the features (N, F) of states (N, 12)."""
+        return self.fourier.features(states[:, _PLACE])
+
+
+class WholePoseSettings(IntentSettings):
+    """How one K is fitted to positions and orientations together."""
+
+    count: int = Field(ge=1, le=5000, description="random Fourier features of the position")
+    length_scales: Interval = Field(description="narrowest and widest kernel, in units of the demonstrations' spread")
+    copies: int = Field(ge=1, le=100, description="augmented states beside each of the mean demonstration's")
+    far: float = Field(gt=0, description="how far the farthest lie, in units of the demonstrations' spread")
+    far_rad: float = Field(gt=0, description="standard deviation of their turn [rad]")
+    lead_back_steps: float = Field(gt=0, description="steps ahead on the mean demonstration that they lead to")
+    touching_m: float = Field(
+        ge=0, description="a path nearer than this to an earlier part of itself that runs elsewhere takes its place [m]"
+    )
+    ridge: float = Field(gt=0, description="λ of the regularised least squares")
+    seed: int = Field(ge=0, description="of features and augmented states")
+
+    @property
+    def ridges(self) -> tuple[float, ...]:
+        """The one ridge."""
+        return (self.ridge,)
+
+    def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
+        """Return the frame in which the mean of the others tells more of a trajectory (N, 7) that is left out."""
+        return StartFrame.chosen(trajectories, task.nominal_start, task.goal)
+
+    def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
+        """Return the model fitted to pose trajectories (N, 7)."""
+        positions = np.concatenate(trajectories)[:, pose.POSITION]
+        spread = float(np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        pairs = self._pairs(trajectories, spread, task)
+        before, after = (_state(poses, task.goal, spread) for poses in pairs)
+        koopman = KoopmanModel.fit(self._observables, before, after, np.zeros(12), 1.0, self.ridge)
+        held = task.orientation == "held"
+        return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal, reach_of(task))
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
+        """Return the model whose arrays these are."""
+        koopman = KoopmanModel(self._observables, np.zeros(12), 1.0, arrays["matrix"])
+        spread, tolerance, reach = (float(arrays[name]) for name in ("spread", "rotation_tolerance", "reach"))
+        frame = StartFrame.restore({name: arrays[f"frame_{name}"] for name in STILL.arrays()})
+        return WholePoseIntent(koopman, spread, bool(arrays["held"]), tolerance, arrays["goal"], reach, frame)
+
+    @property
+    def _observables(self) -> FeaturesOfPlace:
+        fourier = RandomFourier(count=self.count, length_scales=self.length_scales, seed=self.seed)
+        return FeaturesOfPlace(fourier=fourier)
+
+    def _pairs(self, trajectories: list[Array], spread: float, task: Task) -> tuple[Array, Array]:
+        """Return states (M, 7) of the mean demonstration and around it, and where they lead a step later (M, 7).
+
+        Ten coarse actions leave a bundle of paths that run side by side; they keep to one path to which all leads.
+        Augmented states lie anywhere around it, at distances spread evenly over their orders of magnitude from one
+        step on, and lead back to it within some steps. Their orientations are strewn too, and are led to that of the
+        place.
+        """
+        mean = mean_poses(trajectories, max(len(rows) for rows in trajectories))
+        course = Course.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
+        shown = to_count(mean, len(course.points))
+        rng = np.random.default_rng(self.seed)
+        near = np.repeat(mean[:, None], self.copies, axis=1).reshape(-1, 7)
+        size = np.exp(rng.uniform(np.log(task.step_m), np.log(self.far * spread), (len(near), 1)))
+        way = rng.normal(size=(len(near), 3))
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        turn = pose.from_rotation_vector(rng.normal(scale=self.far_rad, size=(len(near), 3)))
+        strewn = pose.make(near[:, pose.POSITION] + size * way, pose.multiply(near[:, pose.QUATERNION], turn))
+        states = np.concatenate([mean, strewn])
+        position = states[:, pose.POSITION]
+        ahead = course.nearest(position) + max(1, round(task.step_m / SPACING_M))
+        turned = shown[np.minimum(ahead, len(shown) - 1), pose.QUATERNION]
+        return states, pose.make(course.step_from(position, task.step_m), turned)
+
+
+@dataclass(frozen=True)
+class WholePoseIntent(IntentModel):
+    """A model whose state is the place, in spreads, and the entries of R − I, both from the goal.
+
+    Attributes:
+        koopman: the model of states (N, 12).
+        spread: unit of places [m].
+        held: whether orientation is held whatever the model says.
+        rotation_tolerance: [rad].
+        goal: the goal pose (7,).
+        reach: of additional pairs [m].
+        start_frame: in which it knows poses.
+    """
+
+    koopman: KoopmanModel
+    spread: float
+    held: bool
+    rotation_tolerance: float
+    goal: Array
+    reach: float
+    start_frame: StartFrame = STILL
+
+    def predict(self, poses: Array) -> Array:
+        """Return the predicted next poses (N, 7) of poses (N, 7); orientations are the nearest rotations to R̂."""
+        rows = self.koopman.predict(_state(poses, self.goal, self.spread))
+        position = self.goal[pose.POSITION] + self.spread * rows[:, _PLACE]
+        if self.held:
+            return pose.make(position, poses[:, pose.QUATERNION])
+        turned = _nearest_rotations(rows[:, _TURN].reshape(-1, 3, 3) + np.eye(3))
+        return pose.make(position, pose.multiply(self.goal[pose.QUATERNION], turned))
+
+    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
+        """Return predictions (N, 7) scaled to one step of the agent [m], in position and turn together."""
+        if self.held:
+            return super().to_step(poses, predicted, step)
+        return one_step(poses, predicted, self.goal, step, IN_PLACE * self.rotation_tolerance)
+
+    def within(self, frame: StartFrame) -> "WholePoseIntent":
+        """Return the model with the frame in which its trajectories were placed."""
+        return replace(self, start_frame=frame)
+
+    @property
+    def matrices(self) -> dict[str, KoopmanModel]:
+        """The one K."""
+        return {"K": self.koopman}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return everything but the settings, as arrays."""
+        return {
+            "matrix": self.koopman.matrix,
+            "spread": np.array(self.spread),
+            "held": np.array(self.held),
+            "rotation_tolerance": np.array(self.rotation_tolerance),
+            "goal": self.goal,
+            "reach": np.array(self.reach),
+            **{f"frame_{name}": values for name, values in self.start_frame.arrays().items()},
+        }
+
+
+def _state(poses: Array, goal: Array, spread: float) -> Array:
+    turned = pose.to_matrix(pose.multiply(pose.conjugate(goal[pose.QUATERNION]), poses[:, pose.QUATERNION]))
+    place = (poses[:, pose.POSITION] - goal[pose.POSITION]) / spread
+    return np.concatenate([place, (turned - np.eye(3)).reshape(len(poses), 9)], axis=1)
+
+
+def _nearest_rotations(matrices: Array) -> Array:
+    """Return the quaternions (N, 4) of the rotations nearest to matrices (N, 3, 3), by their singular vectors."""
+    from scipy.spatial.transform import Rotation
+
+    left, _, right = np.linalg.svd(matrices)
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return np.asarray(Rotation.from_matrix(left @ right).as_quat()[:, [3, 0, 1, 2]])

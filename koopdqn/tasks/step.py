@@ -1,0 +1,53 @@
+"""One step of the agent toward a wished pose, scaled in position and turn together as the ten actions can make it."""
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.pose import Array
+
+IN_PLACE = 2.0
+"""Rotation tolerances by which one action of Table 1 turns in place."""
+
+# Of a turn in place: what no action need make up for (one rotation tolerance), and what one matches on its way there.
+_LITTLE, _ON_THE_WAY = 0.5, 2.5
+# Cosine of 30°: a motion less far off the way to the goal is well made by an action that goes and turns there.
+_TOWARD = 0.866
+
+
+def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float) -> Array:
+    """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), at most up to the goal (7,).
+
+    Table 1 turns along the geodesic to the goal only, so of the wished turn the part ω [rad] that goes there counts.
+    Where there is little to turn, or the motion heads for the goal, a step is a whole one. Elsewhere Table 1 turns in
+    place only: motion v [m] and turn are scaled until (v/step)² + (ω/turn)² = 1, and the more there is to turn, the
+    less the pose moves.
+
+    Args:
+        poses: where the tool is.
+        wished: where it should be some time.
+        goal: the goal pose.
+        step: distance of one step [m].
+        turn: turn of one step in place [rad].
+    """
+    quaternion, toward = poses[:, pose.QUATERNION], goal[pose.QUATERNION]
+    motion = wished[:, pose.POSITION] - poses[:, pose.POSITION]
+    length = np.linalg.norm(motion, axis=1)
+    to_goal = _turn_between(quaternion, np.broadcast_to(toward, quaternion.shape))
+    left = np.linalg.norm(to_goal, axis=1)
+    angle = (_turn_between(quaternion, wished[:, pose.QUATERNION]) * to_goal).sum(axis=1) / np.maximum(left, 1e-12)
+    angle = np.clip(angle, 0.0, left)
+    way = goal[pose.POSITION] - poses[:, pose.POSITION]
+    direction = motion / np.maximum(length, 1e-12)[:, None]
+    toward_goal = (direction * way).sum(axis=1) >= _TOWARD * np.linalg.norm(way, axis=1)
+    whole = (length > 0) & (toward_goal | (angle <= _LITTLE * turn))
+    size = np.where(whole, length / step, np.hypot(length / step, angle / turn))
+    size = np.maximum(size, 1e-12)
+    angle = np.where(whole, np.minimum(angle, _ON_THE_WAY * turn) * size, angle)
+    moved = np.minimum(length / size, np.linalg.norm(way, axis=1))
+    position = poses[:, pose.POSITION] + moved[:, None] * direction
+    return pose.make(position, pose.turned_toward(quaternion, toward, np.minimum(angle / size, left)))
+
+
+def _turn_between(quaternions: Array, others: Array) -> Array:
+    """Return the rotation vectors (N, 3) [rad] from quaternions (N, 4) to others (N, 4), the short way."""
+    return pose.to_rotation_vector(pose.canonical(pose.multiply(pose.conjugate(quaternions), others)))
