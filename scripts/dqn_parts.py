@@ -64,7 +64,8 @@ def measured(task: str, seed: int, part: Part) -> dict[str, Any]:
     workcell = stages.open_scene(config)
     demonstrations = generate(config.task, workcell.reachability, config.demo, seed).demonstrations
     fitted = fit(demonstrations, config.task, config.intent, config.trust)
-    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, config.task))
+    shown = agent_steps(demonstrations, config.task)
+    trajectories = fitted.model.start_frame.each(shown)
     reward = IntentReward(config.task, fitted.model, fitted.trust, config.reward)
     oracle = ScriptedOracle(config.task)
     trainer = Trainer(workcell, reward, trajectories, oracle, config.agent, config.train, seed, config.feedback)
@@ -76,9 +77,8 @@ def measured(task: str, seed: int, part: Part) -> dict[str, Any]:
     report = evaluate(
         workcell,
         Policy(network, config.task, fitted.model.start_frame),
-        fitted.model,
-        fitted.trust,
-        trajectories,
+        reward,
+        shown,
         config.eval,
         trainer.step_limit,
     ).report

@@ -64,6 +64,7 @@ def imitate(method: str, run: Path, folder: Path) -> dict[str, Any]:
     """
     import torch
 
+    from koopdqn.environment.reward import IntentReward
     from koopdqn.evaluation.evaluate import evaluate
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.imitation.cloning import clone
@@ -83,9 +84,8 @@ def imitate(method: str, run: Path, folder: Path) -> dict[str, Any]:
         sqil = Sqil(workcell, trajectories, config.agent, seed, step_limit)
         learned = sqil.run(check=checked_by(config, workcell, step_limit), check_every=config.train.check_every)
     seconds = monotonic() - began
-    evaluation = evaluate(
-        workcell, learned.policy, intent.model, intent.trust, trajectories, config.eval, step_limit
-    ).report
+    reward = IntentReward(config.task, intent.model, intent.trust, config.reward)
+    evaluation = evaluate(workcell, learned.policy, reward, trajectories, config.eval, step_limit).report
     content: dict[str, Any] = EvaluationFile.model_validate({**evaluation, "run": str(run)}).model_dump(mode="json")
     folder.mkdir(parents=True, exist_ok=True)
     about = {

@@ -45,7 +45,11 @@ LINES: Final = (
         "the default preset",
         baselines={
             "greedy": "greedy on the intent model",
+            "argmax_reward": "argmax of the reward, no network",
+            "floor": "the action nearest to the person's next pose",
+            "mean_demonstration": "mean demonstration replayed",
             "nearest_demonstration": "nearest demonstration replayed",
+            "constant_action": "the best constant action",
             "straight_line": "straight line to the goal",
         },
     ),

@@ -7,6 +7,7 @@ import numpy as np
 from parts import load_parts
 
 from koopdqn.demonstrations.generator import generate
+from koopdqn.environment.reward import IntentReward
 from koopdqn.intent.fitting import agent_steps, fit
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import TrustDomain
@@ -35,6 +36,11 @@ def taught() -> Taught:
     demonstrations = generate(cell.task, cell.reachability, settings, seed=0).demonstrations
     fitted = fit(demonstrations, cell.task, PARTS.intent, PARTS.trust)
     return Taught(fitted.model, fitted.trust, agent_steps(demonstrations, cell.task))
+
+
+def reward_of(known: Taught) -> IntentReward:
+    """Return the reward function of what was taught."""
+    return IntentReward(PARTS.task, known.model, known.trust, PARTS.reward)
 
 
 @cache

@@ -15,6 +15,7 @@ from koopdqn.config.resources import conf_dir
 from koopdqn.config.settings import load_settings
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.evaluation.schema import Baselines
 from koopdqn.evaluation.wilson import wilson_interval
 from koopdqn.files import write_json
 from koopdqn.tasks.knife import KnifeTask
@@ -102,7 +103,7 @@ def method(mean: float) -> dict[str, Any]:
 
 
 def eval_report(task: Task, run: str) -> dict[str, Any]:
-    baselines = {name: method(20.0) for name in ("straight_line", "greedy", "nearest_demonstration")}
+    baselines = {name: method(20.0) for name in Baselines.model_fields}
     rest: dict[str, Any] = {"episodes": 10, "seed": 2000, "start_scale": 1.0, "redrawn_starts": 0, "step_limit": 700}
     rest |= {"dynamics": None, "holdout": None}
     return {**method(5.0), **rest, "task": task.name, "baselines": baselines, "run": run}

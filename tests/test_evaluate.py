@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_shelf import shelf, taught
+from helpers_shelf import reward_of, shelf, taught
 from pydantic import BaseModel, ValidationError
 from rich.console import Console
 
@@ -29,7 +29,7 @@ SHORT = SETTINGS.model_copy(update={"dynamics": False, "baselines": False})
 def evaluated(settings: EvaluationSettings, policy: Controller | None = None, limit: int = 700) -> Evaluation:
     known = taught()
     chosen = policy or Greedy(known.model, shelf().task)
-    return evaluate(shelf(), chosen, known.model, known.trust, known.trajectories, settings, limit)
+    return evaluate(shelf(), chosen, reward_of(known), known.trajectories, settings, limit)
 
 
 @cache
@@ -108,9 +108,9 @@ def test_a_policy_that_never_succeeds_is_measured_too() -> None:
 def test_progress_adds_up_to_all_of_the_work() -> None:
     known, told = taught(), list[int]()
     policy = Greedy(known.model, shelf().task)
-    evaluate(shelf(), policy, known.model, known.trust, known.trajectories, SETTINGS, 30, told.append)
+    evaluate(shelf(), policy, reward_of(known), known.trajectories, SETTINGS, 30, told.append)
     assert min(told) >= 0
-    assert sum(told) == work_units(SETTINGS) == 22
+    assert sum(told) == work_units(SETTINGS) == 42
 
 
 def test_dynamics_runs_the_first_successful_paths_only() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers_shelf import shelf, taught
+from helpers_shelf import reward_of, shelf, taught
 from hypothesis import given
 from hypothesis import strategies as st
 from parts import load_parts
@@ -22,7 +22,7 @@ SETTINGS = EvaluationSettings(
 def evaluated(scale: float) -> Evaluation:
     known, settings = taught(), SETTINGS.model_copy(update={"start_scale": scale})
     policy = Greedy(known.model, shelf().task)
-    return evaluate(shelf(), policy, known.model, known.trust, known.trajectories, settings, step_limit=5)
+    return evaluate(shelf(), policy, reward_of(known), known.trajectories, settings, step_limit=5)
 
 
 @given(scale=st.floats(0.1, 10))

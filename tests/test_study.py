@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from koopdqn.config.resources import conf_dir
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.schema import Baselines
 
 # The Makefile runs scripts as files, which puts their folder first on the path.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
@@ -24,7 +25,7 @@ from study_lines import DEFAULT, LINES, SEEDS, Line
 from study_tables import PaperRun, Result, least_check, table, with_tables
 
 LINE = {line.name: line for line in LINES}
-MEASURED = ("straight_line", "greedy", "nearest_demonstration")
+MEASURED = tuple(Baselines.model_fields)
 SHA = "0" * 64
 RESULT = Result(
     task="shelf",

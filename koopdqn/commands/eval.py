@@ -9,6 +9,7 @@ from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
 from koopdqn.commands.train import POLICY, REPORT
 from koopdqn.config.messages import shown
+from koopdqn.environment.reward import IntentReward
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fitting import agent_steps
@@ -42,8 +43,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         evaluation = evaluate(
             workcell,
             policy,
-            intent.model,
-            intent.trust,
+            IntentReward(config.task, intent.model, intent.trust, config.reward),
             agent_steps(demonstrations, config.task),
             config.eval,
             step_limit,

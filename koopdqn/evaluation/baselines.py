@@ -1,15 +1,22 @@
-"""What comes without learning: the straight line, greedy on the intent model, and replaying a demonstration."""
+"""What comes without learning, from the same starts as a policy."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.demonstrations.resample import mean_poses
+from koopdqn.environment.actions import COUNT
 from koopdqn.environment.compare import nearest_actions
+from koopdqn.environment.reward import IntentReward
+from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
-from koopdqn.rollout import Episode, follow, roll_out
+from koopdqn.rollout import SUCCESS, Episode, follow, roll_out
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, Task
 from koopdqn.workcell import Workcell
 
@@ -81,3 +88,85 @@ def nearest_demonstration(workcell: Workcell, trajectories: list[Array], starts:
     """Return the episodes of replaying the nearest demonstration from starts (N, 7) with joints (N, 6)."""
     paths = [replay_path(start, trajectories, workcell.task) for start in starts]
     return follow(paths, workcell.task, workcell.reachability, joints)
+
+
+def mean_demonstration(
+    workcell: Workcell, frame: StartFrame, trajectories: list[Array], starts: Array, joints: Array
+) -> list[Episode]:
+    """Return the episodes of replaying the mean of the demonstrations, told in a frame, from starts (N, 7)."""
+    mean = mean_poses(frame.each(trajectories), max(len(rows) for rows in trajectories))
+    paths = []
+    for start in starts:
+        path = frame.unplaced(mean, start[None], mean)
+        # People who follow their start begin there; the others go to where the mean begins.
+        turned = straight_path(start, path[0], workcell.task)
+        paths.append(np.concatenate([turned, path[1:]]))
+    return follow(paths, workcell.task, workcell.reachability, joints)
+
+
+@dataclass(frozen=True)
+class BestByReward:
+    """The controller that takes the action of the greatest reward by the intent model, trusted or not.
+
+    Attributes:
+        reward: the reward function.
+    """
+
+    reward: IntentReward
+
+    def __call__(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        judgement = self.reward.judge(poses, np.zeros(len(poses), dtype=np.int64), starts)
+        return np.asarray(judgement.reward.argmax(axis=1))
+
+
+def constant_action(workcell: Workcell, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
+    """Return the episodes of always taking one action, the one of the ten that succeeds most often."""
+    best: list[Episode] = []
+    for action in range(COUNT):
+        always = partial(_always, action)
+        episodes = roll_out(always, workcell.task, workcell.reachability, starts, joints, step_limit)
+        if not best or _successes(episodes) > _successes(best):
+            best = episodes
+    return best
+
+
+def floor(workcell: Workcell, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
+    """Return the episodes of always taking the legal action nearest to where the scripted person would be."""
+    task = workcell.task
+
+    def nearest(poses: Array, begun: Array) -> np.ndarray:
+        return nearest_actions(poses, demonstrator_wishes(task, poses, begun), task)
+
+    return roll_out(nearest, task, workcell.reachability, starts, joints, step_limit)
+
+
+def without_learning(
+    workcell: Workcell, reward: IntentReward, trajectories: list[Array], starts: Array, joints: Array, step_limit: int
+) -> Iterator[tuple[str, list[Episode]]]:
+    """Yield the episodes of every method of :class:`Baselines`, by its name.
+
+    Args:
+        workcell: task, arm and scene.
+        reward: the reward function, with its intent model.
+        trajectories: demonstrated poses (N, 7) at the agent's step.
+        starts: (N, 7).
+        joints: (N, 6) [rad] there.
+        step_limit: steps after which an episode fails.
+    """
+    task, model, given = workcell.task, reward.model, (starts, joints, step_limit)
+    yield "straight_line", straight_line(workcell, starts, joints)
+    yield "constant_action", constant_action(workcell, *given)
+    yield "greedy", greedy(workcell, model, *given)
+    yield "argmax_reward", roll_out(BestByReward(reward), task, workcell.reachability, *given)
+    yield "nearest_demonstration", nearest_demonstration(workcell, trajectories, starts, joints)
+    yield "mean_demonstration", mean_demonstration(workcell, model.start_frame, trajectories, starts, joints)
+    yield "floor", floor(workcell, *given)
+
+
+def _always(action: int, poses: Array, starts: Array) -> np.ndarray:
+    return np.full(len(poses), action)
+
+
+def _successes(episodes: list[Episode]) -> int:
+    return sum(episode.outcome == SUCCESS for episode in episodes)

@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from koopdqn.evaluation.baselines import greedy, nearest_demonstration, straight_line
+from koopdqn.environment.reward import IntentReward
+from koopdqn.evaluation.baselines import without_learning
 from koopdqn.evaluation.dynamics import execute, summarise
 from koopdqn.evaluation.holdout import measure_holdout
 from koopdqn.evaluation.metrics import measure
 from koopdqn.evaluation.references import reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, MethodReport
 from koopdqn.evaluation.settings import EvaluationSettings
-from koopdqn.intent.model import IntentModel
-from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.workcell import Workcell
@@ -54,8 +53,7 @@ def work_units(settings: EvaluationSettings) -> int:
 def evaluate(
     workcell: Workcell,
     policy: Controller,
-    model: IntentModel,
-    trust: TrustDomain,
+    reward: IntentReward,
     trajectories: list[Array],
     settings: EvaluationSettings,
     step_limit: int,
@@ -67,9 +65,8 @@ def evaluate(
     Args:
         workcell: task, arm and scene.
         policy: chooses the actions (N,) from poses (N, 7).
-        model: the fitted intent, for the greedy baseline.
-        trust: the tube, for ``tube_fraction``.
-        trajectories: demonstrated poses (N, 7) at the agent's step, for the baseline that replays one.
+        reward: with the fitted intent and its tube, for ``tube_fraction`` and what comes without learning.
+        trajectories: demonstrated poses (N, 7) at the agent's step, for the baselines that replay them.
         settings: on which starts, and what is measured beside.
         step_limit: steps after which an episode fails.
         advance: told the units of work just done, of :func:`work_units`.
@@ -90,21 +87,18 @@ def evaluate(
 
     def measured(baseline: list[Episode]) -> MethodReport:
         advance(len(baseline))
-        return measure(baseline, references, task, trust, model.start_frame, workcell.reachability)
+        return measure(baseline, references, task, reward.trust, reward.model.start_frame, workcell.reachability)
 
     baselines = None
     if settings.baselines:
-        baselines = Baselines(
-            straight_line=measured(straight_line(workcell, starts, joints)),
-            greedy=measured(greedy(workcell, model, starts, joints, step_limit)),
-            nearest_demonstration=measured(nearest_demonstration(workcell, trajectories, starts, joints)),
-        )
+        found = without_learning(workcell, reward, trajectories, starts, joints, step_limit)
+        baselines = Baselines(**{name: measured(each) for name, each in found})
     dynamics = _dynamics(workcell, episodes, settings, advance) if settings.dynamics else None
-    policy_report = measure(episodes, references, task, trust, model.start_frame, workcell.reachability)
+    policy_report = measure(episodes, references, task, reward.trust, reward.model.start_frame, workcell.reachability)
     holdout = None
     if held_out:
         holdout = measure_holdout(
-            workcell, policy, model, trust, trajectories, held_out, step_limit, baselines=settings.baselines
+            workcell, policy, reward, trajectories, held_out, step_limit, baselines=settings.baselines
         )
     report = EvaluationReport(
         task=task.name,

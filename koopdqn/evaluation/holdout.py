@@ -1,17 +1,15 @@
 """Measuring against demonstrations that nothing was learned from: one episode from each one's start."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.evaluation.baselines import greedy, nearest_demonstration, straight_line
+from koopdqn.environment.reward import IntentReward
+from koopdqn.evaluation.baselines import without_learning
 from koopdqn.evaluation.deviation import hausdorff_mm
 from koopdqn.evaluation.metrics import measure
 from koopdqn.evaluation.schema import Baselines, HoldoutReport, MethodReport
-from koopdqn.intent.model import IntentModel
-from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 from koopdqn.rollout import Controller, Episode, roll_out
 from koopdqn.workcell import Workcell
@@ -35,8 +33,7 @@ class Holdout:
 def measure_holdout(
     workcell: Workcell,
     policy: Controller,
-    model: IntentModel,
-    trust: TrustDomain,
+    reward: IntentReward,
     trajectories: list[Array],
     held_out: list[Array],
     step_limit: int,
@@ -48,9 +45,8 @@ def measure_holdout(
     Args:
         workcell: task, arm and scene.
         policy: chooses the actions (N,) from poses (N, 7).
-        model: the fitted intent, for the greedy baseline.
-        trust: the tube.
-        trajectories: what was learned from, poses (N, 7) at the agent's step, for the baseline that replays one.
+        reward: with the fitted intent and its tube.
+        trajectories: what was learned from, poses (N, 7) at the agent's step, for the baselines that replay it.
         held_out: poses (N, 7) at the agent's step of each held-out demonstration, at least one.
         step_limit: steps after which an episode fails.
         baselines: whether to measure what comes without learning too.
@@ -62,8 +58,7 @@ def measure_holdout(
     joints = np.array([entered[index].joints for index in ready]).reshape(-1, 6)
     hausdorff: dict[str, list[float]] = {}
 
-    def measured(name: str, begin: Callable[[], list[Episode]]) -> tuple[MethodReport, list[Episode]]:
-        made = begin() if ready else []
+    def measured(name: str, made: list[Episode]) -> tuple[MethodReport, list[Episode]]:
         # An arm that cannot take the start has failed before its first step.
         home = np.array(workcell.arm.home)[None]
         episodes = [
@@ -73,19 +68,18 @@ def measure_holdout(
             for index, path in enumerate(held_out)
         ]
         hausdorff[name] = [hausdorff_mm(episode.poses, path) for episode, path in zip(episodes, held_out, strict=True)]
-        return measure(episodes, held_out, task, trust, model.start_frame, workcell.reachability), episodes
+        return measure(
+            episodes, held_out, task, reward.trust, reward.model.start_frame, workcell.reachability
+        ), episodes
 
     limit = step_limit
-    report, episodes = measured("policy", lambda: roll_out(policy, task, workcell.reachability, starts, joints, limit))
+    own = roll_out(policy, task, workcell.reachability, starts, joints, limit) if ready else []
+    report, episodes = measured("policy", own)
     beside = None
     if baselines:
-        beside = Baselines(
-            straight_line=measured("straight_line", lambda: straight_line(workcell, starts, joints))[0],
-            greedy=measured("greedy", lambda: greedy(workcell, model, starts, joints, limit))[0],
-            nearest_demonstration=measured(
-                "nearest_demonstration", lambda: nearest_demonstration(workcell, trajectories, starts, joints)
-            )[0],
-        )
+        # Where the arm can take no start there is nothing to make.
+        made = dict(without_learning(workcell, reward, trajectories, starts, joints, limit)) if ready else {}
+        beside = Baselines(**{name: measured(name, made.get(name, []))[0] for name in Baselines.model_fields})
     gaps = [float(pose.position_distance(path[-1], task.goal)) * _MILLIMETRES for path in held_out]
     return Holdout(
         HoldoutReport(

@@ -131,9 +131,22 @@ class Baselines(ReportModel):
     straight_line: MethodReport = Field(
         description="straight to the goal, turning evenly, in equal steps of at most the task's step"
     )
+    constant_action: MethodReport = Field(
+        description="always one and the same action: of all ten the one that succeeds most often, of equals the first"
+    )
     greedy: MethodReport = Field(description="always the legal action nearest to the intent model's prediction")
+    argmax_reward: MethodReport = Field(
+        description="always the action of the greatest reward by the intent model, trusted or not, with no network"
+    )
     nearest_demonstration: MethodReport = Field(
         description="straight to the first pose of the demonstration that starts nearest, then its recorded poses"
+    )
+    mean_demonstration: MethodReport = Field(
+        description="the mean of the demonstrations, moved to the start if the intent follows starts, else begun by"
+        " going straight to its first pose"
+    )
+    floor: MethodReport = Field(
+        description="always the legal action nearest to where the scripted person would be: what ten actions can do"
     )
 
 

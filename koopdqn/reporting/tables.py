@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.schema import Baselines
 from koopdqn.files import read_json
 from koopdqn.reporting.content import Cell, Missing, Table
 from koopdqn.reporting.groups import Groups
@@ -14,7 +15,7 @@ from koopdqn.reporting.numbers import measured, spread, trained
 Studies = Mapping[str, Mapping[str, tuple[IntentStudy, Path]]]
 """Fitted intents with the files that hold them, by task and name of the intent."""
 
-_BASELINES = ("straight_line", "greedy", "nearest_demonstration")
+_BASELINES = tuple(Baselines.model_fields)
 _INTENT_NAMES = {
     "paper": "paper: second-order lift, K = A G†",
     "pose": "pose: the default",
