@@ -180,7 +180,7 @@ def test_a_training_that_does_not_learn_is_a_result(tmp_path: Path) -> None:
 def test_the_table_grows_run_by_run_and_no_run_is_begun_after_the_time(tmp_path: Path) -> None:
     page, launcher, missing = tmp_path / "page.md", Launcher(), tmp_path / "none.json"
     page.write_text(PAGE, encoding="utf-8")
-    runs = study.runs_of(["shelf"], LINES, [0, 9], tmp_path)
+    runs = study.runs_of(["shelf"], LINES, [SEEDS[0], SEEDS[9]], tmp_path)
     assert study.measure(runs, launcher, 0.0, tmp_path, page, missing) == 0
     assert launcher.calls == []
     assert study.measure(runs[:1], launcher, None, tmp_path, page, missing) == 0
@@ -196,18 +196,18 @@ def test_the_table_grows_run_by_run_and_no_run_is_begun_after_the_time(tmp_path:
 
 def test_long_lines_have_fewer_seeds() -> None:
     names = [(run.line.name, run.seed) for run in study.runs_of(["shelf"], LINES, SEEDS)]
-    assert ("always-ask", 2) in names
-    assert ("always-ask", 3) not in names
-    assert ("default", 9) in names
+    assert ("always-ask", SEEDS[2]) in names
+    assert ("always-ask", SEEDS[3]) not in names
+    assert ("default", SEEDS[9]) in names
     assert len(set(names)) == len(names)
 
 
 def test_runs_that_learned_from_different_demonstrations_are_not_put_together(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(PAGE, encoding="utf-8")
-    carry_out(Run("shelf", LINE[DEFAULT], 0, tmp_path), Launcher())
-    carry_out(Run("shelf", LINE["gamma-0"], 0, tmp_path), Launcher(demonstrations="1" * 64))
-    with pytest.raises(BadInputError, match=r"same demonstrations with seed 0, found default and gamma-0 to differ"):
+    carry_out(Run("shelf", LINE[DEFAULT], SEEDS[0], tmp_path), Launcher())
+    carry_out(Run("shelf", LINE["gamma-0"], SEEDS[0], tmp_path), Launcher(demonstrations="1" * 64))
+    with pytest.raises(BadInputError, match=r"same demonstrations with seed 100, found default and gamma-0 to differ"):
         study.write_results(tmp_path, page, tmp_path / "none.json")
 
 
