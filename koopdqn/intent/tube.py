@@ -40,9 +40,9 @@ class TubeSettings(TrustSettings):
     def fit(self, trajectories: list[Array], errors: list[Array], frame: Array) -> TrustDomain:
         """Return the tube of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
 
-        A jackknife, whose quantile promises nothing for few demonstrations (Barber et al. 2021), so that the coverage is
-        to be measured (``fit.fresh``): a demonstration's score is the largest distance of its states from the tube of the others, in the others'
-        spread; the radius is the score of the given rank times the spread of all.
+        A jackknife: a demonstration's score is the largest distance of its states from the tube of the others, in the
+        others' spread; the radius is the score of the given rank times the spread of all. For few demonstrations its
+        quantile promises nothing (Barber et al. 2021): ``fit.fresh`` measures the coverage.
         """
         middle = Middle.of(trajectories, self)
         if len(trajectories) == 1:
