@@ -163,7 +163,7 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
     success.set_xticks([0, 0.5, 1.0])
     success.xaxis.set_major_formatter(PercentFormatter(1.0))
     success.set_xlabel("success rate")
-    success.set_yticks(rows, [name.replace("_", " ") for name in methods])
+    success.set_yticks(rows, [name.replace("_", " ") for name in methods], fontsize=8)
     success.invert_yaxis()
     success.set_title("Success, 95 % interval")
     # Where demonstrations are held out, they alone are what a path can deviate from.
@@ -191,4 +191,4 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
 
 
 def _value(axes: Axes, place: float, row: int, text: str) -> None:
-    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=9, color=INK)
+    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=8, color=INK)
