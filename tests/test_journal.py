@@ -76,6 +76,7 @@ def test_a_line_says_everything(tmp_path: Path) -> None:
         "action": asked.action,
         "reached": asked.reached.tolist(),
         "predicted": asked.predicted.tolist(),
+        "start": asked.start.tolist(),
         "reason": "far",
         "right": False,
         "better": None,

@@ -136,6 +136,7 @@ def question_object(question: Question) -> dict[str, Any]:
         "episode": question.episode,
         "step": question.step,
         "pose": question.pose.tolist(),
+        "start": question.start.tolist(),
         "action": question.action,
         "reached": question.reached.tolist(),
         "predicted": question.predicted.tolist(),

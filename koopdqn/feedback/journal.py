@@ -23,6 +23,7 @@ def answer_line(number: int, question: Question, answer: Answer) -> AnswerLine:
         episode=question.episode,
         step=question.step,
         pose=question.pose.tolist(),
+        start=question.start.tolist(),
         action=question.action,
         reached=question.reached.tolist(),
         predicted=question.predicted.tolist(),

@@ -22,6 +22,9 @@ class AnswerLine(ReportModel):
     episode: NonNegativeInt = Field(description="number of the episode, from 0")
     step: NonNegativeInt = Field(description="step within it, from 0")
     pose: PoseList = Field(description="(7,) before the action [m, 1]")
+    start: PoseList | None = Field(
+        None, description="(7,) where the episode began; null in journals that do not say [m, 1]"
+    )
     action: Action = Field(description="index of the action in Table 1, from 0")
     reached: PoseList = Field(description="(7,) after the action [m, 1]")
     predicted: PoseList = Field(description="(7,) where the intent model would have gone [m, 1]")
