@@ -12,7 +12,6 @@ from koopdqn.commands.deriving import DEMONSTRATIONS
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generator import generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.placement import blocked_at
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
@@ -37,7 +36,6 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
         BadInputError: the file is damaged, of another task, or not what the run folder holds already.
     """
     if config.derived is not None:
-        _check_followed(workcell, config.derived.training)
         return config.derived.training
     kept = folder / DEMONSTRATIONS
     sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
@@ -68,16 +66,6 @@ def held_out_of(config: Configuration) -> list[Array] | None:
         return None
     aside = config.derived.held_out
     return agent_steps(replace(config.derived.training, items=aside), config.task) if aside else []
-
-
-def _check_followed(workcell: Workcell, demonstrations: Demonstrations) -> None:
-    for index, poses in enumerate(agent_steps(demonstrations, workcell.task)):
-        blocked = blocked_at(workcell.reachability, poses)
-        if blocked:
-            raise BadInputError(
-                f"demos: the arm must be able to follow every demonstration, found demonstration {index} stopped after"
-                f" {blocked}; demos.place=auto moves all of them to where it can"
-            )
 
 
 def _check_reach(config: Configuration, demonstrations: Demonstrations) -> None:

@@ -1,0 +1,116 @@
+"""Demonstrations moved to where the arm can follow them, and back."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_shown import arc, recorded
+from hypothesis import given
+from hypothesis import strategies as st
+from parts import load_parts
+
+from koopdqn import cli, pose
+from koopdqn.demonstrations.csv import read_csv, write_csv
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.placement import Placement, blocked_at, found_placement
+from koopdqn.demonstrations.reading import read_demonstrations
+from koopdqn.environment.reachability import Reachability
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.robot.scene import build_scene
+
+PLACEMENTS = st.builds(
+    lambda x, y, z, turn: Placement(np.array([x, y, z]), turn),
+    *[st.floats(-1, 1)] * 3,
+    st.floats(-np.pi, np.pi),
+)
+
+
+@cache
+def arm() -> Reachability:
+    parts = load_parts()
+    return Reachability(parts.arm, build_scene(parts.task, parts.arm), parts.arm.step_seconds)
+
+
+def shown() -> Demonstrations:
+    return Demonstrations("demonstrated", "ur5", [recorded(arc(0.01 * index)) for index in range(2)])
+
+
+@given(placement=PLACEMENTS)
+def test_what_is_moved_and_moved_back_is_where_it_was(placement: Placement) -> None:
+    moved = placement.moved(shown())
+    assert moved.placement is placement
+    back = placement.undone(moved)
+    assert back.placement is None
+    for item, original in zip(back.items, shown().items, strict=True):
+        np.testing.assert_allclose(item.poses, original.poses, atol=1e-12)
+
+
+@given(placement=PLACEMENTS)
+def test_a_placement_is_rigid_and_keeps_the_vertical(placement: Placement) -> None:
+    poses = shown().items[0].poses
+    moved = placement.poses(poses)
+    np.testing.assert_allclose(
+        pose.position_distance(moved[1:], moved[:-1]), pose.position_distance(poses[1:], poses[:-1]), atol=1e-12
+    )
+    np.testing.assert_allclose(moved[:, 2] - poses[:, 2], placement.offset[2], atol=1e-12)
+    # An axis of the flange keeps its angle to the vertical.
+    up, was = (pose.rotate(rows[:, 3:], np.tile([0.0, 0.0, 1.0], (len(rows), 1)))[:, 2] for rows in (moved, poses))
+    np.testing.assert_allclose(up, was, atol=1e-12)
+
+
+def far_away() -> list[Array]:
+    # The arm reaches 0.95 m; half of this lies beyond.
+    return [Placement(np.array([0.25, 0.0, 0.25]), 0.0).poses(item.poses) for item in shown().items]
+
+
+def test_what_cannot_be_followed_is_named_and_a_placement_found() -> None:
+    rows = far_away()
+    why = [blocked_at(arm(), path) for path in rows]
+    assert any("unreachable" in each and "of its way, at [" in each for each in why)
+    placement = found_placement(arm(), rows)
+    assert all(blocked_at(arm(), placement.poses(path)) == "" for path in rows)
+
+
+def test_where_nothing_will_do_that_is_said() -> None:
+    line = np.tile(arc()[0], (200, 1))
+    line[:, 0] = np.linspace(-3.0, 3.0, 200)
+    with pytest.raises(BadInputError, match=r"demos\.place=auto: must find a place .* found none among 672"):
+        found_placement(arm(), [line])
+
+
+def test_files_keep_how_they_were_moved(tmp_path: Path) -> None:
+    placement = Placement(np.array([0.1, -0.2, 0.3]), 0.5)
+    write_hdf5(tmp_path / "moved.hdf5", placement.moved(shown()))
+    found = read_hdf5(tmp_path / "moved.hdf5").placement
+    assert found is not None
+    np.testing.assert_array_equal([*found.offset, found.turn], [0.1, -0.2, 0.3, 0.5])
+    write_hdf5(tmp_path / "as_recorded.hdf5", shown())
+    assert read_hdf5(tmp_path / "as_recorded.hdf5").placement is None
+    both = [str(tmp_path / name) for name in ("moved.hdf5", "as_recorded.hdf5")]
+    with pytest.raises(BadInputError, match="moved alike"):
+        read_demonstrations(both, "demonstrated", "ur5")
+
+
+def test_export_undoes_a_placement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_hdf5(tmp_path / "moved.hdf5", Placement(np.array([0.1, -0.2, 0.3]), 0.5).moved(shown()))
+    assert cli.main(["export", "demos=moved.hdf5", "out=back"]) == 0
+    for item, original in zip(read_csv(tmp_path / "back" / "demos.csv"), shown().items, strict=True):
+        np.testing.assert_allclose(item.poses[:, :3], original.poses[:, :3], atol=1e-9)
+
+
+def test_a_run_is_told_to_place_and_keeps_the_placement(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    placed = Placement(np.array([0.25, 0.0, 0.25]), 0.0).moved(shown())
+    write_csv(tmp_path / "far.csv", list(placed.items))
+    short = ("task=demonstrated", "demos=far.csv", "intent.count=40", "intent.copies=2")
+    assert cli.main(["fit", *short, "out=refused"]) == 2
+    assert "demos.place=auto" in capsys.readouterr().err
+    assert cli.main(["fit", *short, "demos.place=auto", "out=placed"]) == 0
+    assert "about the base's vertical" in capsys.readouterr().err
+    assert read_hdf5(tmp_path / "placed" / "demos.hdf5").placement is not None
