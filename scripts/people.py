@@ -9,6 +9,7 @@ of one each (CSV, or what ``rostopic echo -p`` prints). A run that is finished i
 import argparse
 import csv
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,9 @@ def measure(people: PeopleSet, held_out: int, folder: Path, seed: int) -> dict[s
     result = folder / "result.json"
     if result.is_file():
         return dict(json.loads(result.read_text()))
-    folder.mkdir(parents=True, exist_ok=True)
+    # What was begun and not finished would be taken for a run that the arm cannot follow.
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
     others = tuple(item for index, item in enumerate(people.items) if index != held_out)
     shown = folder / "shown.hdf5"
     write_hdf5(shown, Demonstrations("demonstrated", "unknown", (*others, people.items[held_out])))

@@ -68,4 +68,4 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
         # torch lists every array on a line of its own.
         found = " ".join(str(error).split())
         raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {found}") from error
-    return Policy(network, task, StartFrame.restore(about["frame"])), about
+    return Policy(network, task, StartFrame.restore(about.get("frame", STILL.described()))), about

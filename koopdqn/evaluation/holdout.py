@@ -72,13 +72,12 @@ def measure_holdout(
             episodes, held_out, task, reward.trust, reward.model.start_frame, workcell.reachability
         ), episodes
 
-    limit = step_limit
-    own = roll_out(policy, task, workcell.reachability, starts, joints, limit) if ready else []
+    own = roll_out(policy, task, workcell.reachability, starts, joints, step_limit) if ready else []
     report, episodes = measured("policy", own)
     beside = None
     if baselines:
         # Where the arm can take no start there is nothing to make.
-        made = dict(without_learning(workcell, reward, trajectories, starts, joints, limit)) if ready else {}
+        made = dict(without_learning(workcell, reward, trajectories, starts, joints, step_limit)) if ready else {}
         beside = Baselines(**{name: measured(name, made.get(name, []))[0] for name in Baselines.model_fields})
     gaps = [float(pose.position_distance(path[-1], task.goal)) * _MILLIMETRES for path in held_out]
     return Holdout(
