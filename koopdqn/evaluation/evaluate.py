@@ -156,7 +156,7 @@ def holdout_table(report: dict[str, Any]) -> "Table":
     holdout = report["holdout"]
     found = Table(
         title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
-        caption="Hausdorff [mm]: the farthest from the held-out demonstration, median and largest",
+        caption="Hausdorff in mm: the farthest from the held-out demonstration, median and largest",
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
     )
