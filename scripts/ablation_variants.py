@@ -60,7 +60,7 @@ VARIANTS: Final = (
     Variant("apart", ("intent=fourier",), "K_p and K_o apart, demonstrations surrounded one by one (D1, D2)"),
     Variant("raw-prediction", ("reward.prediction=raw",), "the raw prediction is compared (D4)"),
     Variant("sign", ("reward.shape=sign",), "rewards of one size (D5)"),
-    Variant("no-doubt", ("reward.doubt=0.0",), "close comparisons count too (D6)"),
+    Variant("no-doubt", ("trust.doubts=[0.0]",), "close comparisons count too (D6)"),
     Variant(
         "no-exploring",
         ("agent.exploring_starts=0.0", "agent.exploring_scale=1.0"),

@@ -96,7 +96,7 @@ def learning_rows(config: Configuration) -> list[Row]:
     demonstrations = make()
 
     def fitting() -> Fitted:
-        return fit(demonstrations, task, config.intent, config.trust)
+        return fit(demonstrations, task, config.intent, config.trust, config.reward)
 
     fitted = fitting()
     trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))

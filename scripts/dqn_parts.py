@@ -63,7 +63,7 @@ def measured(task: str, seed: int, part: Part) -> dict[str, Any]:
     torch.set_num_threads(config.train.threads)
     workcell = stages.open_scene(config)
     demonstrations = generate(config.task, workcell.reachability, config.demo, seed).demonstrations
-    fitted = fit(demonstrations, config.task, config.intent, config.trust)
+    fitted = fit(demonstrations, config.task, config.intent, config.trust, config.reward)
     shown = agent_steps(demonstrations, config.task)
     trajectories = fitted.model.start_frame.each(shown)
     reward = IntentReward(config.task, fitted.model, fitted.trust, config.reward)

@@ -99,7 +99,7 @@ def trajectories(demonstrations: "Demonstrations", shelf_task: "ShelfTask") -> "
 def fitted(demonstrations: "Demonstrations", parts: "Parts") -> "Fitted":
     from koopdqn.intent.fitting import fit
 
-    return fit(demonstrations, parts.task, parts.intent, parts.trust)
+    return fit(demonstrations, parts.task, parts.intent, parts.trust, parts.reward)
 
 
 @pytest.fixture(scope="session")

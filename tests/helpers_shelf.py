@@ -34,7 +34,7 @@ def taught() -> Taught:
     cell = shelf()
     settings = PARTS.demo.model_copy(update={"count": 3})
     demonstrations = generate(cell.task, cell.reachability, settings, seed=0).demonstrations
-    fitted = fit(demonstrations, cell.task, PARTS.intent, PARTS.trust)
+    fitted = fit(demonstrations, cell.task, PARTS.intent, PARTS.trust, PARTS.reward)
     return Taught(fitted.model, fitted.trust, agent_steps(demonstrations, cell.task))
 
 

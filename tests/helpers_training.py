@@ -66,7 +66,7 @@ def small_trainer(
 
 def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
-    trust = replace(reward.trust, error=np.full_like(reward.trust.error, np.inf))
+    trust = replace(reward.trust, radius=1e-6 * reward.trust.radius)
     return IntentReward(reward.task, reward.model, trust, reward.settings)
 
 

@@ -16,7 +16,7 @@ def test_the_default_model_comes_to_the_goal_even_from_wide_starts(fitted: Fitte
 def test_the_papers_model_is_said_not_to_converge(
     demonstrations: Demonstrations, paper: Parts, trajectories: list[Array], fitted: Fitted
 ) -> None:
-    report = fit(demonstrations, paper.task, paper.intent, paper.trust).report
+    report = fit(demonstrations, paper.task, paper.intent, paper.trust, paper.reward).report
     assert not report["converges"]
     model = paper.intent.fit(trajectories, paper.task)
     assert convergence(model, fitted.trust, trajectories, paper.task).demonstrated < 1.0

@@ -23,7 +23,7 @@ from questions import question
 from small_run import SMALL
 
 from koopdqn import cli
-from koopdqn.environment.reward import ASKED, REMEMBERED, TRUSTED, IntentReward
+from koopdqn.environment.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
 from koopdqn.feedback import wording
 from koopdqn.feedback.file import question_object
 from koopdqn.feedback.journal import JournalledOracle
@@ -176,7 +176,7 @@ def test_what_a_yes_settles_is_not_asked_but_stored(make: Make, trajectories: li
     assert [asked.step for asked in clerk.asked] == [0]
     assert clerk.asked[0].place == Place(1, 1)
     sources = [int(tries.judgement.source[tries.rows[0], tries.actions[0]]) for tries in found]
-    assert sources == [ASKED] + 5 * [TRUSTED]
+    assert sources == [ASKED] + 5 * [CERTIFIED]
     assert all(tries.rewards[0] > 0 for tries in found)
     for tries, trial in zip(found, trials, strict=True):
         assert tries.steps[0] == trial.step

@@ -1,7 +1,6 @@
 import json
 
 import numpy as np
-import pytest
 
 from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED
 from koopdqn.training.history import Check, History
@@ -29,13 +28,18 @@ def test_what_it_came_from_stays_as_it_was() -> None:
 
 
 def test_agreement_is_the_share_of_each_source_but_rules() -> None:
-    assert some_history().agreement() == pytest.approx({"trusted": 0.75, "asked": 1.0, "remembered": 0.4})
-    assert some_history().counts() == {"trusted": 8, "asked": 4, "remembered": 5}
+    assert some_history().agreement() == {
+        "trusted": 0.75,
+        "asked": 1.0,
+        "remembered": 0.4,
+        "certified": None,
+    }
+    assert some_history().counts() == {"trusted": 8, "asked": 4, "remembered": 5, "certified": 0}
 
 
 def test_where_no_reward_was_given_there_is_no_share() -> None:
-    assert History().agreement() == {"trusted": None, "asked": None, "remembered": None}
-    assert History().counts() == {"trusted": 0, "asked": 0, "remembered": 0}
+    assert History().agreement() == dict.fromkeys(("trusted", "asked", "remembered", "certified"))
+    assert History().counts() == dict.fromkeys(("trusted", "asked", "remembered", "certified"), 0)
 
 
 def test_two_histories_share_nothing() -> None:

@@ -66,8 +66,8 @@ def history() -> History:
         exploring=(rng.random(count) < 0.5).tolist(),
         losses=[0.1, 0.03, 0.01, 0.004],
         checks=checks,
-        judged=np.array([0, 9000, 40, 300]),
-        agreed=np.array([0, 8900, 40, 297]),
+        judged=np.array([0, 9000, 40, 300, 200]),
+        agreed=np.array([0, 8900, 40, 297, 190]),
     )
 
 
@@ -151,10 +151,10 @@ def test_fit_shades_the_steps_at_which_the_expert_is_asked(
 ) -> None:
     shade = np.array(mpl.colors.to_rgb(fit.ASK)) * 255
     shares = []
-    for limit in (1.0, 1e-6):
-        settings = fitted.trust.settings.model_copy(update={"error_limit_m": limit})
+    for doubt in (0.1, np.inf):
+        trust = replace(fitted.trust, doubt=np.full_like(fitted.trust.doubt, doubt))
         path = tmp_path / "fit.png"
-        plot_fit(path, replace(fitted, trust=replace(fitted.trust, settings=settings)), demonstrations, shelf_task)
+        plot_fit(path, replace(fitted, trust=trust), demonstrations, shelf_task)
         pixels = check_png(path, fit.WIDTH, fit.HEIGHT)
         shares.append((np.abs(pixels - shade).max(axis=2) < 2).mean())
     assert shares[0] == 0.0

@@ -193,7 +193,7 @@ def test_an_end_off_the_goal_is_told_and_kept_when_meant(recorder: Recorder, sma
     assert recorder.press("e").changed
     demonstrations = Demonstrations(small.task.name, small.arm.name, recorder.state.kept)
     with pytest.raises(BadInputError, match="must end within"):
-        fit(demonstrations, small.task, small.intent, small.trust)
+        fit(demonstrations, small.task, small.intent, small.trust, small.reward)
     # Said of one end, it is asked again at another.
     press(recorder, "g")
     recorder.press("e")

@@ -19,7 +19,7 @@ def test_errors_of_the_held_out_demonstrations_are_those_of_the_cross_validation
     demonstrations: "Demonstrations", paper: "Parts"
 ) -> None:
     three = first(demonstrations, 3)
-    found = [study(three, paper.task, paper.intent, paper.trust, shown) for shown in range(3)]
+    found = [study(three, paper.task, paper.intent, paper.trust, paper.reward, shown) for shown in range(3)]
     errors = np.concatenate([item.held_out.error[:, 0] for item in found])
     sixty = np.concatenate([item.held_out.sixty[:, 0] for item in found])
     report = found[0].report
@@ -36,11 +36,10 @@ def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
 
     def asked(**changes: object) -> np.ndarray:
         trust = box.model_copy(update=changes)
-        return study(first(demonstrations, 3), parts.task, intent, trust).held_out.asked
+        return study(first(demonstrations, 3), parts.task, intent, trust, parts.reward).held_out.asked
 
-    assert not asked(sigmas=1e3, error_limit_m=1.0).any()
-    assert asked(error_limit_m=1e-9).all()
-    narrow, wide = asked(sigmas=0.5), asked(sigmas=1.0)
+    assert not asked(sigmas=1e3, least_right=0.0).any()
+    narrow, wide = asked(sigmas=0.5, least_right=0.0), asked(sigmas=1.0, least_right=0.0)
     assert len(narrow) == len(trajectories[0]) - 1
     # What a narrow domain holds a wide one holds as well.
     assert narrow[wide].all()
@@ -50,7 +49,7 @@ def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
 def test_a_study_is_json(demonstrations: "Demonstrations", paper: "Parts") -> None:
     import json
 
-    found = study(demonstrations, paper.task, paper.intent, paper.trust, 1)
+    found = study(demonstrations, paper.task, paper.intent, paper.trust, paper.reward, 1)
     content = json.loads(json.dumps(found.content(), allow_nan=False))
     assert content["held_out"]["demonstration"] == 1
     assert content["held_out"]["one_step_error_m"] == found.held_out.error[:, 0].tolist()

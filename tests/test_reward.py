@@ -9,6 +9,7 @@ from koopdqn import pose
 from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.environment.compare import within_tolerance
 from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
+from koopdqn.intent.trust import Vouched
 from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
@@ -16,7 +17,6 @@ from koopdqn.tasks.start_frame import StartFrame
 SIGN = RewardSettings(
     shape="sign",
     prediction="rescaled",
-    doubt=0.0,
     size=1.0,
     goal=0.0,
 )
@@ -25,6 +25,12 @@ AXES = np.array([4, 5, 6, 7, 8, 9])
 
 def reward_with(base: IntentReward, **fields: object) -> IntentReward:
     return IntentReward(base.task, base.model, base.trust, base.settings.model_copy(update=fields))
+
+
+def undoubting(base: IntentReward, doubt: float = 0.0) -> IntentReward:
+    """The same reward with one doubt everywhere."""
+    trust = replace(base.trust, doubt=np.full_like(base.trust.doubt, doubt))
+    return IntentReward(base.task, base.model, trust, base.settings)
 
 
 def beside(trajectories: list[Array], seed: int, count: int, spread: float) -> tuple[Array, np.ndarray]:
@@ -96,7 +102,7 @@ def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, traj
     judged = reward.judge(poses, steps)
     np.testing.assert_array_equal(judged.known, judged.source != ASKED)
     assert set(np.unique(judged.source)) == {RULE, TRUSTED, ASKED}
-    assert SOURCES == ("rule", "trusted", "asked", "remembered")
+    assert SOURCES == ("rule", "trusted", "asked", "remembered", "certified")
 
 
 @pytest.mark.parametrize("needs", ["reached", "both"])
@@ -104,7 +110,7 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
     reward: IntentReward, trajectories: list[Array], needs: str
 ) -> None:
     settings_ = reward.trust.settings.model_copy(update={"needs": needs})
-    trust = replace(reward.trust, settings=settings_, radius=0.6 * reward.trust.radius)
+    trust = replace(undoubting(reward).trust, settings=settings_, radius=0.6 * reward.trust.radius)
     judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
     poses, steps = data
     here = trust.inside(poses, steps)
@@ -120,7 +126,7 @@ def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_star
 ) -> None:
     frame = StartFrame(reward.task.nominal_start[:3], reward.task.goal[:3], follows=True)
     model = reward.model.within(frame)
-    following = IntentReward(reward.task, model, reward.trust, SIGN)
+    following = IntentReward(reward.task, model, undoubting(reward).trust, SIGN)
     poses, steps = beside(trajectories, 7, 200, 0.004)
     starts = reward.task.draw_starts(np.random.default_rng(7), len(poses))
     judged = following.judge(poses, steps, starts)
@@ -144,9 +150,9 @@ def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_star
 class _Recording(Tube):
     """A trust domain that keeps which steps it was asked about."""
 
-    def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
+    def vouched(self, poses: Array, steps: np.ndarray) -> Vouched:
         ASKED_STEPS.append((len(poses), np.array(steps)))
-        return super().inside(poses, steps)
+        return super().vouched(poses, steps)
 
 
 ASKED_STEPS: list[tuple[int, np.ndarray]] = []
@@ -164,8 +170,8 @@ def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, tr
 
 def test_doubt_leaves_the_best_action_and_the_clear_ones(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = trajectories[0][:150], np.arange(150)
-    sure = reward_with(reward, doubt=0.0, shape="margin", goal=0.0).judge(poses, steps)
-    doubting = reward_with(reward, doubt=0.3, shape="margin", goal=0.0).judge(poses, steps)
+    exact = reward_with(reward, shape="margin", goal=0.0)
+    sure, doubting = (undoubting(exact, doubt).judge(poses, steps) for doubt in (0.0, 0.3))
     np.testing.assert_array_equal(sure.reward, doubting.reward)
     dropped = (sure.source == TRUSTED) & (doubting.source == ASKED)
     assert dropped.any()

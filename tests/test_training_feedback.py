@@ -18,7 +18,7 @@ from helpers_training import (
 from parts import Clerk, Parts
 
 from koopdqn import pose
-from koopdqn.environment.reward import ASKED, REMEMBERED, TRUSTED, IntentReward, Judgement
+from koopdqn.environment.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward, Judgement
 from koopdqn.feedback.imperfect import ImperfectOracle
 from koopdqn.feedback.journal import JournalledOracle
 from koopdqn.feedback.oracle import Answer, Oracle, Question
@@ -136,7 +136,7 @@ def test_a_yes_extends_trust_so_that_fewer_questions_follow(make: Make) -> None:
     for trainer in (plain, extending):
         trainer.run()
     assert 0 < extending.questions < 0.5 * plain.questions
-    assert plain.history.judged[TRUSTED] == 0 < extending.history.judged[TRUSTED]
+    assert plain.history.judged[CERTIFIED] == 0 < extending.history.judged[CERTIFIED]
     assert extending.env_steps >= 300 <= plain.env_steps
 
 
@@ -145,7 +145,7 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     trainer.run()
     trainer.feedback._oracle = Clerk()
     held = trainer.replay.held()
-    trusted = held.sources == TRUSTED
+    trusted = held.sources == CERTIFIED
     point = held.poses[np.flatnonzero(trusted)[0]]
     before = trainer.feedback.reward
     action = unexpected(before, point)
@@ -155,7 +155,7 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     gaps = [pose.position_distance(each.predicted(point[None])[0], reached) for each in (before, after)]
     assert gaps[1] < 0.1 * gaps[0]
     held = trainer.replay.held()
-    rows = np.flatnonzero(held.sources == TRUSTED)
+    rows = np.flatnonzero(held.sources == CERTIFIED)
     judged = after.judge(held.poses[rows], held.steps[rows])
     each = np.arange(len(rows)), held.actions[rows]
     assert judged.known[each].all()

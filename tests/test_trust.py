@@ -32,8 +32,6 @@ def settings(matching: Matching, sigmas: float = 3.0, floor: float = 0.002) -> B
         "sigmas": sigmas,
         "position_floor_m": floor,
         "rotation_floor_rad": 5 * floor,
-        "error_limit_m": 0.001,
-        "error_limit_rad": 0.01,
     }
     return _default().model_copy(update=changes)
 
@@ -44,16 +42,16 @@ def lines(offsets: list[float], count: int = 11) -> list[Array]:
     return [pose.make(np.stack([x, np.full(count, y), np.zeros(count)], axis=1), FRAME[0]) for y in offsets]
 
 
-def no_errors(trajectories: list[Array]) -> list[Array]:
-    return [np.zeros((len(trajectory) - 1, 2)) for trajectory in trajectories]
+def all_right(trajectories: list[Array]) -> list[Array]:
+    return [np.ones((len(trajectory) - 1, len(_default().doubts), 2)) for trajectory in trajectories]
 
 
-def domain(matching: Matching, sigmas: float = 3.0, errors: list[Array] | None = None) -> Box:
-    return drawn_around(lines([-0.004, 0.0, 0.004]), settings(matching, sigmas), errors)
+def domain(matching: Matching, sigmas: float = 3.0, signs: list[Array] | None = None) -> Box:
+    return drawn_around(lines([-0.004, 0.0, 0.004]), settings(matching, sigmas), signs)
 
 
-def drawn_around(shown: list[Array], chosen: BoxSettings, errors: list[Array] | None = None) -> Box:
-    box = TrustDomain.fit(shown, errors or no_errors(shown), FRAME, chosen)
+def drawn_around(shown: list[Array], chosen: BoxSettings, signs: list[Array] | None = None) -> Box:
+    box = TrustDomain.fit(shown, signs or all_right(shown), FRAME, chosen)
     assert isinstance(box, Box)
     return box
 
@@ -155,15 +153,15 @@ def test_matching_any_aligns_demonstrations_of_different_length() -> None:
 
 
 @pytest.mark.parametrize("matching", MATCHINGS)
-@pytest.mark.parametrize("column", [0, 1])
-def test_where_the_model_errs_nothing_is_trusted(matching: Matching, column: int) -> None:
-    errors = no_errors(lines([0, 0, 0]))
-    errors[1][5, column] = 0.5
-    drawn = domain(matching, 2.0, errors)
+def test_where_rewards_are_wrong_too_often_nothing_is_trusted(matching: Matching) -> None:
+    signs = all_right(lines([0, 0, 0]))
+    signs[1][5, :, 0] = 0.5
+    drawn = domain(matching, 2.0, signs)
+    np.testing.assert_allclose(drawn.right, [2.5 / 3.0 if t == 5 else 1.0 for t in range(11)])
     assert drawn.known.tolist() == [t != 5 for t in range(11)]
     point = at(0.05)
     assert not drawn.inside(point, np.array([5]))[0]
-    assert "held-out error" in drawn.outside(point[0], 5)
+    assert "only 83% of the rewards here are right (least 90%)" in drawn.outside(point[0], 5)
     assert drawn.inside(at(0.08), np.array([8]))[0]
 
 
@@ -177,14 +175,14 @@ def test_where_the_model_errs_nothing_is_trusted(matching: Matching, column: int
 def test_a_reason_is_given_exactly_where_trust_ends(
     matching: Matching, x: float, y: float, roll: float, step: int
 ) -> None:
-    errors = no_errors(lines([0, 0, 0]))
-    errors[0][3] = 0.5
-    drawn = domain(matching, 3.0, errors)
+    signs = all_right(lines([0, 0, 0]))
+    signs[0][3, :, 0] = 0.5
+    drawn = domain(matching, 3.0, signs)
     point = at(x, y, turn=(roll, 0.0, 0.0))
     reason = drawn.outside(point[0], step)
     assert (reason == "") == bool(drawn.inside(point, np.array([step]))[0])
     if reason:
-        assert reason.split()[0] in COMPONENTS or "held-out error" in reason
+        assert reason.split()[0] in COMPONENTS or "rewards here are right" in reason
 
 
 @pytest.mark.parametrize("matching", MATCHINGS)
@@ -205,7 +203,7 @@ def test_angles_are_those_in_the_frame() -> None:
     for trajectory in lines([0.0, 0.001, 0.002]):
         turns = pose.from_rotation_vector(0.01 * rng.normal(size=(len(trajectory), 3)))
         shown.append(pose.make(trajectory[:, :3], pose.multiply(left, turns)))
-    drawn = settings("step").fit(shown, no_errors(shown), frame)
+    drawn = settings("step").fit(shown, all_right(shown), frame)
     assert isinstance(drawn, Box)
     assert np.abs(drawn.mean[:, 3:]).max() < 0.05
     assert drawn.inside(pose.make([0.05, 0.001, 0.0], left)[None], np.array([5]))[0]
@@ -214,10 +212,10 @@ def test_angles_are_those_in_the_frame() -> None:
 @given(x=st.floats(-1, 1), step=st.integers(0, 20))
 def test_trust_everywhere_and_nowhere_ask_nothing_of_the_pose(x: float, step: int) -> None:
     shown = lines([-0.004, 0.0, 0.004])
-    errors = [np.full((len(rows) - 1, 2), 9.0) for rows in shown]
+    wrong = [each * [0.0, 1.0] for each in all_right(shown)]
     for matching, trusted in (("everywhere", True), ("nowhere", False)):
         chosen = settings("any").model_copy(update={"matching": matching})
-        drawn = TrustDomain.fit(shown, errors, FRAME, chosen)
+        drawn = TrustDomain.fit(shown, wrong, FRAME, chosen)
         assert drawn.inside(at(x), np.array([step]))[0] == trusted
         assert (drawn.outside(at(x)[0], step) == "") == trusted
 

@@ -78,13 +78,14 @@ def all_presets() -> Presets:
 
 
 def _intents(name: str, presets: Presets, task: Task) -> Intents:
-    """Return the compared intents as they are set for a task; the paper's is trusted as the paper's preset says."""
+    """Return the compared intents as they are set for a task; the paper's with its preset's trust and reward."""
     found = {}
     for intent in INTENTS:
         # A run's own task may differ from the config tree's, and intents read from it.
         config = composed([f"task={name}", f"intent={intent}"], {"task": described(task)})
         settings = load_settings(config.intent, IntentSettings, "intent")
-        found[intent] = (settings, presets[name, PAPER if intent == PAPER else DEFAULT].trust)
+        preset = presets[name, PAPER if intent == PAPER else DEFAULT]
+        found[intent] = (settings, preset.trust, preset.reward)
     return found
 
 

@@ -103,7 +103,9 @@ def fitted_intent(
     from koopdqn.plots.fit import plot_fit
 
     with console.stage("Fitting the intent", len(demonstrations)) as stage:
-        fitted = fit(demonstrations, config.task, config.intent, config.trust, lambda done: stage.advance(), fresh)
+        fitted = fit(
+            demonstrations, config.task, config.intent, config.trust, config.reward, lambda done: stage.advance(), fresh
+        )
     stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
     write_json(folder / "fit.json", fitted.report)
     plot_fit(folder / "fit.png", fitted, demonstrations, config.task)

@@ -11,7 +11,7 @@ from koopdqn.commands.configuration import Configuration
 from koopdqn.dqn.memory import check_memory
 from koopdqn.dqn.observation import size
 from koopdqn.dqn.policy import write_policy
-from koopdqn.environment.reward import IntentReward
+from koopdqn.environment.reward import BY_MODEL, IntentReward
 from koopdqn.feedback.journal import JOURNAL, JournalledOracle
 from koopdqn.files import write_json
 from koopdqn.intent.fitting import agent_steps
@@ -122,7 +122,9 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "answered_instead": trainer.feedback.substituted,
         "contradictions": trainer.feedback.memory.contradictions,
         "rewards_recomputed": trainer.feedback.recomputed,
-        "trusted_fraction": float(history.judged[1] / asked_or_trusted) if asked_or_trusted else None,
+        "trusted_fraction": float(history.judged[list(BY_MODEL)].sum() / asked_or_trusted)
+        if asked_or_trusted
+        else None,
         "reward_agreement": history.agreement(),
         "rewards_given": history.counts(),
         "reward_per_episode": history.rewards,

@@ -20,7 +20,10 @@ RULE: Final = 0
 TRUSTED: Final = 1
 ASKED: Final = 2
 REMEMBERED: Final = 3
-SOURCES: Final = ("rule", "trusted", "asked", "remembered")
+CERTIFIED: Final = 4
+SOURCES: Final = ("rule", "trusted", "asked", "remembered", "certified")
+BY_MODEL: Final = (TRUSTED, CERTIFIED)
+"""The intent model's own: where demonstrations vouch for it, and where only an answer nearby does."""
 
 NO_ANSWER: Final = -1
 """Stands for the number of an answer where a reward rests on none."""
@@ -29,19 +32,18 @@ NO_ANSWER: Final = -1
 _NO_MOTION = 1e-9
 
 
+Prediction = Literal["raw", "rescaled"]
+"""What of the intent model a reached pose is compared with: its prediction, or one as long as the agent's step."""
+
+
 class RewardSettings(Settings):
     """How a comparison becomes a reward."""
 
     shape: Literal["sign", "margin"] = Field(
         description="plus or minus one (the paper), or how far inside or outside the tolerance, with the same sign"
     )
-    prediction: Literal["raw", "rescaled"] = Field(
+    prediction: Prediction = Field(
         description="compare with the raw prediction (the paper) or with one as long as the agent's step"
-    )
-    doubt: float = Field(
-        ge=0,
-        lt=1,
-        description="share of the tolerance by which a comparison must be clear to be trusted; 0 trusts all",
     )
     size: float = Field(gt=0, le=1e3, description="largest absolute reward of a step")
     goal: float = Field(ge=0, le=1e3, description="added when a right action reaches the goal")
@@ -58,7 +60,7 @@ class Judgement:
         predicted: (N, 7) the pose the intent model prefers.
         reward: (N, 10) the reward by rule or intent model; where ``known`` is false, the model's untrusted opinion.
         known: (N, 10) whether the reward stands without asking.
-        source: (N, 10) :data:`RULE` or :data:`TRUSTED` where known, else :data:`ASKED`.
+        source: (N, 10) :data:`RULE`, :data:`TRUSTED` or :data:`CERTIFIED` where known, else :data:`ASKED`.
         margin: (N, 10) how far inside its tolerance the comparison with the prediction is, trusted or not, as a
             share of the tolerance; negative outside, −∞ where a rule forbids the action.
         at_goal: (N, 10) whether the reached pose counts as the goal.
@@ -136,7 +138,8 @@ class IntentReward:
             placed_reached = self.model.start_frame.placed(reached, starts[:, None])
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
-        trusted = self._trusted(placed, placed_reached, steps) & self._certain(margin)
+        shown, answered, doubt = self._vouched(placed, placed_reached, steps)
+        certain = certain_signs(margin, doubt)
         unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
             pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
         )
@@ -144,7 +147,7 @@ class IntentReward:
         reward = self.settings.size * np.where(wrong, -1.0, reward)
         at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(count, COUNT)
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
-        source = np.where(wrong, RULE, np.where(trusted, TRUSTED, ASKED))
+        source = np.select([wrong, shown & certain, answered & certain], [RULE, TRUSTED, CERTIFIED], ASKED)
         margin = np.where(wrong, -np.inf, margin)
         return Judgement(
             reached,
@@ -159,15 +162,28 @@ class IntentReward:
             np.full_like(source, NO_ANSWER),
         )
 
-    def _certain(self, margin: Array) -> np.ndarray:
-        # A comparison that a small error of the model would turn over is no knowledge; but some action is
-        # always right (design, row 9), so the best one needs no certainty.
-        best = margin == margin.max(axis=1, keepdims=True)
-        return np.asarray(best | (np.abs(margin) >= self.settings.doubt))
-
-    def _trusted(self, poses: Array, reached: Array, steps: np.ndarray) -> np.ndarray:
-        count = len(poses)
-        after = self.trust.inside(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT)).reshape(count, COUNT)
+    def _vouched(self, poses: Array, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
+        """Return for which actions (N, 10) demonstrations vouch, for which an answer must, and the doubt of each."""
+        after = self.trust.vouched(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
+        shown, answered = after.shown.reshape(-1, COUNT), after.answered.reshape(-1, COUNT)
+        doubt = after.doubt.reshape(-1, COUNT)
         if self.trust.settings.needs == "reached":
-            return after
-        return np.asarray(after & self.trust.inside(poses, steps)[:, None])
+            return shown, answered, doubt
+        before = self.trust.vouched(poses, steps)
+        both = (shown | answered) & (before.shown | before.answered)[:, None]
+        shown = shown & before.shown[:, None]
+        return shown, both & ~shown, np.maximum(doubt, before.doubt[:, None])
+
+
+def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:
+    """Return which comparisons (N, 10), given by their margins, are clear of the tolerance by a share of it.
+
+    A comparison that a small error of the model would turn over is no knowledge; but some action is always right
+    (``Task`` limits the step so), so the best one needs no certainty.
+
+    Args:
+        margin: (N, 10) as :attr:`Judgement.margin`.
+        doubt: the share, one or (N, 10).
+    """
+    best = margin == margin.max(axis=1, keepdims=True)
+    return np.asarray(best | (np.abs(margin) >= doubt))

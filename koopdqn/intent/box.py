@@ -8,9 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn.demonstrations.resample import to_count
-from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, components_of, no_balls
+from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrated, components_of, no_balls
 from koopdqn.pose import Array
-from koopdqn.tasks.path import at_arc_lengths
 
 
 class BoxSettings(TrustSettings):
@@ -24,32 +23,40 @@ class BoxSettings(TrustSettings):
     position_floor_m: float = Field(ge=0, description="least standard deviation of x, y, z [m]")
     rotation_floor_rad: float = Field(ge=0, description="least standard deviation of roll, pitch, yaw [rad]")
 
-    def fit(self, trajectories: list[Array], errors: list[Array], frame: Array) -> TrustDomain:
-        """Return the domain of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
+    def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> TrustDomain:
+        """Return the domain of pose trajectories (N, 7) with the right signs (N − 1, L, 2) of each.
 
         With matching by step, the statistics of step t are over the demonstrations that have a step t, as
         in §3.4. Otherwise demonstrations are first aligned by their share of path travelled.
         """
         components = [components_of(trajectory, frame) for trajectory in trajectories]
-        padded = [np.concatenate([error, error[-1:]]) for error in errors]
         longest = max(len(rows) for rows in components)
         if self.matching != "step":
             aligned = [components_of(to_count(trajectory, longest), frame) for trajectory in trajectories]
             stack = np.array(aligned)
             mean, deviation = stack.mean(axis=0), stack.std(axis=0)
-            share = np.linspace(0, 1, longest)
-            error = np.max([at_arc_lengths(e, np.linspace(0, 1, len(e)), share) for e in padded], axis=0)
+            # Where each state lies among so many steps.
+            places = [np.rint(np.linspace(0, longest - 1, len(rows)))[:-1].astype(int) for rows in components]
         else:
             at_step = [[rows[t] for rows in components if t < len(rows)] for t in range(longest)]
             mean = np.array([np.mean(rows, axis=0) for rows in at_step])
             deviation = np.array([np.std(rows, axis=0) for rows in at_step])
-            error = np.array([np.max([e[t] for e in padded if t < len(e)], axis=0) for t in range(longest)])
+            places = [np.arange(len(rows) - 1) for rows in components]
         floor = np.repeat([self.position_floor_m, self.rotation_floor_rad], 3)
-        return Box(self, error, self._no_balls(), frame, mean, np.maximum(deviation, floor))
+        sure = calibrated(places, signs, longest, 0, self)
+        return Box(self, *sure, self._no_balls(), frame, mean, np.maximum(deviation, floor))
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
         """Return the domain whose arrays these are."""
-        return Box(self, arrays["error"], self._no_balls(), arrays["frame"], arrays["mean"], arrays["deviation"])
+        return Box(
+            self,
+            arrays["right"],
+            arrays["doubt"],
+            self._no_balls(),
+            arrays["frame"],
+            arrays["mean"],
+            arrays["deviation"],
+        )
 
     def _no_balls(self) -> Balls:
         return no_balls(max(self.sigmas * self.rotation_floor_rad, 1e-3))
@@ -76,22 +83,22 @@ class Box(TrustDomain):
         """Return frame, mean and deviation."""
         return {"frame": self.frame, "mean": self.mean, "deviation": self.deviation}
 
-    def covers(self, poses: Array, steps: np.ndarray) -> np.ndarray:
-        """Return whether poses (N, 7) are in a box, under matching by step in that of their own step; (N,)."""
+    def covers(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether poses (N, 7) are in a box (by step: that of their own step), and the least doubt of such."""
         if self.settings.matching in ("everywhere", "nowhere"):
-            return np.full(len(poses), self.settings.matching == "everywhere")
+            everything = np.full(len(poses), self.settings.matching == "everywhere")
+            return everything, np.full(len(poses), self.settings.doubts[0])
         rows = components_of(poses, self.frame)
         width = self.settings.sigmas * self.deviation
-        known = self.known
         if self.settings.matching == "step":
             # Past the demonstrations' end it is their last.
             index = np.minimum(steps, len(self.mean) - 1)
-            return np.asarray(np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1) & known[index])
-        inside = np.ones((len(rows), int(known.sum())), dtype=bool)
+            return np.asarray(np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1)), self.doubt[index]
+        inside: np.ndarray = np.ones((len(rows), len(self.mean)), dtype=bool)
         # One component at a time keeps the (N, T) temporaries small.
         for i in range(rows.shape[1]):
-            inside &= np.abs(rows[:, i : i + 1] - self.mean[known, i]) <= width[known, i]
-        return np.asarray(inside.any(axis=1))
+            inside &= np.abs(rows[:, i : i + 1] - self.mean[:, i]) <= width[:, i]
+        return np.asarray(inside.any(axis=1)), np.where(inside, self.doubt, np.inf).min(axis=1)
 
     def depth(self, poses: Array) -> Array:
         """Return how far poses (N, 7) are from the nearest box's middle, in half widths of the worst component."""
@@ -101,7 +108,7 @@ class Box(TrustDomain):
         return np.asarray(self._sigmas(rows).max(axis=2).min(axis=1) / self.settings.sigmas)
 
     def reason(self, point: Array, step: int) -> str:
-        """Return which component of a pose (7,) is how far off, or how large the model's error is."""
+        """Return which component of a pose (7,) is how far off, or how seldom rewards are right there."""
         if self.settings.matching == "nowhere":
             return "nothing is trusted (trust.matching=nowhere)"
         sigmas = self._sigmas(components_of(point[None], self.frame))[0]
@@ -112,7 +119,7 @@ class Box(TrustDomain):
         if sigmas[nearest, worst] > self.settings.sigmas:
             name, far = COMPONENTS[worst], sigmas[nearest, worst]
             return f"{name} is {far:.1f} standard deviations from the demonstrations (limit {self.settings.sigmas:g})"
-        return self.error_reason(nearest)
+        return self.doubt_of(nearest)
 
     def _sigmas(self, rows: Array) -> Array:
         """Return how many standard deviations rows (N, 6) are from the mean of every step, (N, T, 6)."""

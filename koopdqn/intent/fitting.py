@@ -11,11 +11,13 @@ from koopdqn import pose
 from koopdqn.config.settings import Settings
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.resample import to_step
+from koopdqn.environment.reward import IntentReward, RewardSettings
 from koopdqn.errors import BadInputError
 from koopdqn.intent.convergence import convergence
-from koopdqn.intent.measures import roll_out_summary, sixty_samples, trust_summary
+from koopdqn.intent.measures import right_summary, roll_out_summary, sixty_samples, trust_summary
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.schema import FitReport
+from koopdqn.intent.signs import jackknifed
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.intent.validation import cross_validate, sizes_of
 from koopdqn.pose import Array
@@ -59,6 +61,7 @@ def fit(
     task: Task,
     intent: IntentSettings,
     trust: TrustSettings,
+    reward: RewardSettings,
     advance: Callable[[int], None] = lambda done: None,
     fresh: Demonstrations | None = None,
 ) -> Fitted:
@@ -69,8 +72,9 @@ def fit(
         task: gives goal, step and tolerances.
         intent: how the model is fitted.
         trust: how the domain is drawn.
+        reward: how rewards are made; the domain is calibrated on their signs.
         advance: told the number of folds done.
-        fresh: further demonstrations, which the trust domain's coverage is measured on.
+        fresh: further demonstrations, which the trust domain is measured on.
 
     Raises:
         BadInputError: the demonstrations are of another task, or do not end at the goal.
@@ -81,15 +85,16 @@ def fit(
     trajectories = frame.each(shown)
     found = cross_validate(trajectories, task, intent, advance)
     model = IntentModel.fit(trajectories, task, intent.with_ridge(found.ridge)).within(frame)
-    if found.folds:
-        counted = [sizes_of(fold.error if trust.error_of == "raw" else fold.rescaled) for fold in found.folds]
-    else:
-        counted = [np.zeros((len(trajectories[0]) - 1, 2))]
-    domain = TrustDomain.fit(trajectories, counted, task.frame, trust)
+    # Of a single demonstration nothing can be left out, and nothing speaks against it.
+    signs = jackknifed(found.folds, trajectories, task, reward.prediction, trust.doubts)
+    if not signs:
+        signs = [np.ones((len(trajectories[0]) - 1, len(trust.doubts), 2))]
+    domain = TrustDomain.fit(trajectories, signs, task.frame, trust)
     first = next(iter(model.matrices.values()))
     turning = model.matrices.get("K_o")
     learned = task.orientation == "learned"
     raw = [sizes_of(fold.error) for fold in found.folds]
+    unseen = agent_steps(fresh, task) if fresh else []
     region = convergence(model, domain, trajectories, task)
     report: dict[str, Any] = {
         "task": task.name,
@@ -112,9 +117,10 @@ def fit(
         "spectral_radius": first.spectral_radius(),
         "spectral_radius_rotation": None if turning is None else turning.spectral_radius(),
         "lifted_dimension": len(first.matrix),
-        "trust": trust_summary(
-            domain, trajectories, counted, task, frame.each(agent_steps(fresh, task)) if fresh else []
-        ),
+        "trust": {
+            **trust_summary(domain, trajectories, signs, task, frame.each(unseen)),
+            **right_summary(found.folds, IntentReward(task, model, domain, reward), unseen),
+        },
         "unmatched_share": unmatched_share(trajectories, task),
         "sixty_samples": sixty_samples(demonstrations, task, intent.with_ridge(found.ridge)),
     }

@@ -8,8 +8,12 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.resample import to_count
+from koopdqn.environment.compare import within_tolerance
+from koopdqn.environment.reward import TRUSTED, IntentReward
+from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.intent.box import Box
 from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.signs import left_out
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
 from koopdqn.intent.validation import Fold, differences, sizes_of
@@ -46,14 +50,14 @@ def _roll_out_error(model: IntentModel, held_out: Array, task: Task) -> dict[str
 
 
 def trust_summary(
-    domain: TrustDomain, trajectories: list[Array], sizes: list[Array], task: Task, fresh: list[Array]
+    domain: TrustDomain, trajectories: list[Array], signs: list[Array], task: Task, fresh: list[Array]
 ) -> dict[str, Any]:
     """Return width and coverage of a trust domain.
 
     Args:
         domain: drawn from all demonstrations.
         trajectories: their poses (N, 7).
-        sizes: (N − 1, 2) held-out errors [m, rad] that it was drawn with.
+        signs: (N − 1, L, 2) of each, that it was drawn with.
         task: gives the frame of angles.
         fresh: poses (N, 7) of demonstrations that nothing was fitted to.
     """
@@ -62,7 +66,7 @@ def trust_summary(
     shares, whole = [], []
     for index, held_out in enumerate(trajectories if count > 1 else []):
         others = [i for i in range(count) if i != index]
-        fold = TrustDomain.fit([trajectories[i] for i in others], [sizes[i] for i in others], task.frame, settings)
+        fold = TrustDomain.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame, settings)
         inside = fold.inside(held_out, np.arange(len(held_out)))
         shares.append(float(inside.mean()))
         whole.append(bool(inside.all()))
@@ -81,6 +85,38 @@ def trust_summary(
         "held_out_path_coverage": float(np.mean(whole)) if whole else None,
         "per_demonstration": shares or None,
     }
+
+
+def right_summary(folds: Sequence[Fold], reward: IntentReward, fresh: list[Array]) -> dict[str, float | None]:
+    """Return how often the signs of rewards are right.
+
+    Args:
+        folds: of the cross-validation.
+        reward: by the model and the trust domain fitted to all demonstrations.
+        fresh: poses (N, 7) of demonstrations that nothing was fitted to, not placed.
+    """
+    trust, prediction = reward.trust, reward.settings.prediction
+    doubt = float(np.median(trust.doubt))
+    return {
+        "least_right": trust.settings.least_right,
+        "doubt": doubt if np.isfinite(doubt) else None,
+        "right_share": float(trust.right[trust.known].mean()) if folds and trust.known.any() else None,
+        "left_out_right_share": left_out(folds, reward.task, prediction, trust.settings.doubts[0]) if folds else None,
+        "fresh_right_share": _trusted_right(reward, fresh) if fresh else None,
+    }
+
+
+def _trusted_right(reward: IntentReward, trajectories: list[Array]) -> float | None:
+    """Return the share of trusted rewards along pose trajectories (N, 7) that agree with the task's person."""
+    right = of = 0
+    for rows in trajectories:
+        before, starts = rows[:-1], np.repeat(rows[:1], len(rows) - 1, axis=0)
+        judged = reward.judge(before, np.arange(len(before)), starts)
+        wished = demonstrator_wishes(reward.task, before, starts)
+        agrees = within_tolerance(judged.reached, wished[:, None], reward.task) == (judged.reward >= 0)
+        trusted = judged.source == TRUSTED
+        right, of = right + int((agrees & trusted).sum()), of + int(trusted.sum())
+    return right / of if of else None
 
 
 def path_coverage(domain: TrustDomain, trajectories: list[Array]) -> float:

@@ -84,7 +84,7 @@ class TrustCoverage(ReportModel):
         description="share of new demonstrations that the tube is made to hold from end to end, at most D/(D + 1);"
         " null for a box, and for the fixed tube around a single demonstration"
     )
-    fresh: NonNegativeInt = Field(description="new demonstrations that coverage was measured on (`fit.fresh`)")
+    fresh: NonNegativeInt = Field(description="new demonstrations that the domain was measured on (`fit.fresh`)")
     measured_coverage: Fraction | None = Field(
         description="share of those inside from end to end, by shape alone; null where there were none"
     )
@@ -94,7 +94,27 @@ class TrustCoverage(ReportModel):
     spread_m: NonNegative | None = Field(
         description="median along the path of the demonstrations' root mean square distance from their mean [m]"
     )
-    known_share: Fraction = Field(description="share of the domain's places where the model's error is within limits")
+    known_share: Fraction = Field(
+        description="share of the domain's places where at least `least_right` of the rewards are right"
+    )
+    least_right: Fraction = Field(description="stated share of right signs (`trust.least_right`)")
+    doubt: NonNegative | None = Field(
+        description="median over places of the share of the tolerance by which a comparison must be clear of it to be"
+        " trusted; null where most places are not trusted at all"
+    )
+    right_share: Fraction | None = Field(
+        description="share of the rewards so clear, at the states of a demonstration left out, whose sign by the model"
+        " of the others is that of going along the mean of all: mean over the places that are trusted; null for a"
+        " single demonstration"
+    )
+    left_out_right_share: Fraction | None = Field(
+        description="share of all rewards with the least doubt there whose sign is right by what the one left out does"
+        " next; people who differ bring it down"
+    )
+    fresh_right_share: Fraction | None = Field(
+        description="share of the trusted rewards along the `fresh` demonstrations that the task's person agrees with;"
+        " null where there were none"
+    )
     held_out_state_coverage: Fraction | None = Field(
         description="share of the states of a demonstration left out that are inside the domain drawn from the"
         " others, mean over the demonstrations; null for a single one"

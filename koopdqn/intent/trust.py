@@ -3,10 +3,11 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from functools import cached_property
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, Strict
 
 from koopdqn import pose
 from koopdqn.config.settings import Settings
@@ -19,17 +20,19 @@ COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 class TrustSettings(Settings, ABC):
     """How the trust domain is drawn around the demonstrations; a new kind is a subclass and a YAML file."""
 
-    error_of: Literal["raw", "rescaled"] = Field(
-        description="whether the error that counts is the raw prediction's or that of one as long as the agent's step"
+    least_right: float = Field(
+        ge=0, le=1, description="share of rewards that must have the right sign where they are trusted"
     )
-    error_limit_m: float = Field(gt=0, description="trust no step whose held-out one-step error is larger [m]")
-    error_limit_rad: float = Field(gt=0, description="the same for orientation [rad]")
+    doubts: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)] = Field(
+        description="shares of the tolerance, ascending: the first one by which comparisons must be clear of it for"
+        " least_right of them to be right holds at a place; where none suffices nothing is trusted"
+    )
     needs: Literal["reached", "both"] = Field(
         description="which state must be trusted: the reached one (the paper) or also the one before"
     )
 
     @abstractmethod
-    def fit(self, trajectories: list[Array], errors: list[Array], frame: Array) -> "TrustDomain":
+    def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> "TrustDomain":
         """Return the domain of pose trajectories (N, 7); see :meth:`TrustDomain.fit`."""
 
     def nominal(self, count: int) -> float | None:
@@ -74,33 +77,51 @@ class Balls:
 
 
 @dataclass(frozen=True)
+class Vouched:
+    """What vouches for N poses.
+
+    Attributes:
+        shown: (N,) whether demonstrations do.
+        answered: (N,) whether only an answer nearby does.
+        doubt: (N,) by which share of the tolerance comparisons must be clear of it to be relied upon.
+    """
+
+    shown: np.ndarray
+    answered: np.ndarray
+    doubt: Array
+
+
+@dataclass(frozen=True)
 class TrustDomain(ABC):
     """Where the model is relied upon.
 
     Attributes:
         settings: what it was drawn with.
-        error: (S, 2) [m, rad] the largest held-out one-step errors of position and orientation along the
-            demonstrations, at the S places that the domain consists of.
+        right: (S,) the share of the rewards that count whose sign is right with a demonstration left out, at the S
+            places that the domain consists of.
+        doubt: (S,) by which share of the tolerance a comparison must be clear of it to count there; infinite where
+            nothing is trusted.
         balls: what it was extended with.
     """
 
     settings: TrustSettings
-    error: Array
+    right: Array
+    doubt: Array
     balls: Balls
 
     @classmethod
-    def fit(
-        cls, trajectories: list[Array], errors: list[Array], frame: Array, settings: TrustSettings
-    ) -> "TrustDomain":
+    def fit(cls, trajectories: list[Array], signs: list[Array], frame: Array, settings: TrustSettings) -> "TrustDomain":
         """Return the domain of pose trajectories (N, 7).
 
         Args:
             trajectories: demonstrated poses at the agent's step.
-            errors: (N − 1, 2) held-out one-step errors [m, rad] of each; zero where none could be measured.
+            signs: (N − 1, L, 2) for each state but the last of each and each of L doubts: how many rewards have the
+                right sign by a model that has not seen the demonstration, of how many that count
+                (:mod:`koopdqn.intent.signs`).
             frame: (2, 4) of angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
             settings: how it is drawn.
         """
-        return settings.fit(trajectories, errors, frame)
+        return settings.fit(trajectories, signs, frame)
 
     @classmethod
     def restore(cls, arrays: Mapping[str, np.ndarray], settings: TrustSettings) -> "TrustDomain":
@@ -110,7 +131,7 @@ class TrustDomain(ABC):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return everything but the settings, as arrays."""
-        held = {"error": self.error, **self.shape()}
+        held = {"right": self.right, "doubt": self.doubt, **self.shape()}
         if len(self.balls.radii):
             held |= {"ball_poses": self.balls.poses, "ball_radii": self.balls.radii}
         return held
@@ -120,8 +141,11 @@ class TrustDomain(ABC):
         """Return the arrays that hold the domain's shape."""
 
     @abstractmethod
-    def covers(self, poses: Array, steps: np.ndarray) -> np.ndarray:
-        """Return whether demonstrations and errors vouch for poses (N, 7) after ``steps`` (N,), as booleans (N,)."""
+    def covers(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return of poses (N, 7) after ``steps`` (N,) whether they lie within the shape, and the doubt there.
+
+        Booleans (N,) and shares of the tolerance (N,), which mean nothing outside the shape.
+        """
 
     @abstractmethod
     def depth(self, poses: Array) -> Array:
@@ -131,12 +155,25 @@ class TrustDomain(ABC):
     def reason(self, point: Array, step: int) -> str:
         """Return in a few words why a pose (7,) that is not trusted after ``step`` steps is not."""
 
-    def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
-        """Return ``indomain`` of poses (N, 7) reached after ``steps`` (N,) steps, as booleans (N,).
+    def vouched(self, poses: Array, steps: np.ndarray) -> "Vouched":
+        """Return what vouches for poses (N, 7) reached after ``steps`` (N,) steps.
 
+        What demonstrations say goes before answers: where they went and the model errs, no ball is relied upon.
         The step count matters to a domain that matches states by step only.
         """
-        return np.asarray(self.covers(poses, steps) | self.balls.holds(poses))
+        within, doubt = self.covers(poses, steps)
+        doubt = np.where(within, doubt, self._widest)
+        return Vouched(within & np.isfinite(doubt), ~within & self.balls.holds(poses), doubt)
+
+    @cached_property
+    def _widest(self) -> float:
+        """The largest doubt of all places, for what lies beside them."""
+        return float(self.doubt[self.known].max(initial=self.settings.doubts[0]))
+
+    def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
+        """Return ``indomain`` of poses (N, 7) reached after ``steps`` (N,) steps, as booleans (N,)."""
+        vouched = self.vouched(poses, steps)
+        return np.asarray(vouched.shown | vouched.answered)
 
     def distance(self, poses: Array) -> Array:
         """Return how far poses (N, 7) are from the domain's middle, in its radii, (N,): at most 1 within.
@@ -155,25 +192,44 @@ class TrustDomain(ABC):
 
     @property
     def known(self) -> np.ndarray:
-        """Whether the model's held-out errors are within their limits at every place, as booleans (S,)."""
-        return np.asarray(np.all(self.error <= self._limits, axis=1))
+        """Whether rewards are right often enough at every place, as booleans (S,)."""
+        return np.asarray(np.isfinite(self.doubt))
 
     def outside(self, point: Array, step: int) -> str:
         """Return in a few words why a pose (7,) is not trusted, or an empty string if it is."""
         return "" if self.inside(point[None], np.array([step]))[0] else self.reason(point, step)
 
-    def error_reason(self, place: int) -> str:
-        """Return what is said of a state that is not trusted for the model's error at a place."""
-        position, rotation = self.error[place] * (1e3, np.degrees(1.0))
-        most, turn = self._limits * (1e3, np.degrees(1.0))
+    def doubt_of(self, place: int) -> str:
+        """Return what is said of a state that is not trusted for how often rewards are right at a place."""
         return (
-            f"the model's held-out error here is {position:.2f} mm and {rotation:.2f}°"
-            f" (limits {most:.2f} mm and {turn:.2f}°)"
+            f"with a demonstration left out only {self.right[place]:.0%} of the rewards here are right"
+            f" (least {self.settings.least_right:.0%})"
         )
 
-    @property
-    def _limits(self) -> Array:
-        return np.array([self.settings.error_limit_m, self.settings.error_limit_rad])
+
+def calibrated(
+    places: list[np.ndarray], signs: list[Array], count: int, window: int, settings: TrustSettings
+) -> tuple[Array, Array]:
+    """Return the share of right signs and the doubt, (S,) each, at S places.
+
+    Args:
+        places: (N − 1,) the place of each state of each demonstration.
+        signs: (N − 1, L, 2) of each, as :meth:`TrustDomain.fit` takes them.
+        count: number S of places.
+        window: neighbours to either side that count too; a place without any state is like those next to it.
+        settings: the stated share, and the L doubts.
+    """
+    totals = np.zeros((count, len(settings.doubts), 2))
+    for where, counted in zip(places, signs, strict=True):
+        np.add.at(totals, where, counted)
+    around = np.array([totals[max(0, i - window) : i + window + 1].sum(axis=0) for i in range(count)])
+    seen = np.flatnonzero(around[:, 0, 1] > 0)
+    nearest = seen[np.abs(np.arange(count)[:, None] - seen).argmin(axis=1)]
+    share = around[nearest, :, 0] / around[nearest, :, 1]
+    enough = share >= settings.least_right
+    level = np.where(enough.any(axis=1), enough.argmax(axis=1), len(settings.doubts) - 1)
+    doubt = np.where(enough.any(axis=1), np.array(settings.doubts)[level], np.inf)
+    return share[np.arange(count), level], doubt
 
 
 def no_balls(turn: float) -> Balls:

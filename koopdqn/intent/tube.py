@@ -9,7 +9,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.demonstrations.resample import mean_poses
-from koopdqn.intent.trust import TrustDomain, TrustSettings, no_balls, squared_distances
+from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrated, no_balls, squared_distances
 from koopdqn.pose import Array
 from koopdqn.tasks.path import arc_lengths
 
@@ -24,7 +24,10 @@ class TubeSettings(TrustSettings):
         gt=0, lt=1, description="share of new demonstrations to hold from end to end; n demonstrations allow n/(n+1)"
     )
     spacing_m: float = Field(gt=0, description="between neighbouring places on the tube's middle [m]")
-    smoothing_m: float = Field(gt=0, description="path length over which the spread is averaged [m]")
+    smoothing_m: float = Field(
+        gt=0,
+        description="path length to either side over which the spread and the share of right signs are averaged [m]",
+    )
     floor_m: float = Field(gt=0, description="spread added to that of the demonstrations' positions [m]")
     floor_rad: float = Field(gt=0, description="spread added to that of their orientations [rad]")
     fixed_radius_m: float = Field(gt=0, description="radius around a single demonstration [m]")
@@ -37,8 +40,8 @@ class TubeSettings(TrustSettings):
         """Return which of ``count`` ordered leave-one-out scores is the radius: the k-th covers k/(count + 1)."""
         return min(count, int(np.ceil(self.coverage * (count + 1) - 1e-9)))
 
-    def fit(self, trajectories: list[Array], errors: list[Array], frame: Array) -> TrustDomain:
-        """Return the tube of pose trajectories (N, 7) with held-out one-step errors (N − 1, 2) [m, rad] each.
+    def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> TrustDomain:
+        """Return the tube of pose trajectories (N, 7) with the right signs (N − 1, L, 2) of each.
 
         A jackknife: a demonstration's score is the largest distance of its states from the tube of the others, in the
         others' spread; the radius is the score of the given rank times the spread of all. For few demonstrations its
@@ -53,10 +56,10 @@ class TubeSettings(TrustSettings):
                 others = Middle.of(trajectories[:index] + trajectories[index + 1 :], self, len(trajectories))
                 scores.append(float(others.distance(held_out).max()))
             radius = float(np.sort(scores)[self.rank(len(scores)) - 1]) * middle.spread
-        error = np.zeros((len(middle.poses), 2))
-        for trajectory, found in zip(trajectories, errors, strict=True):
-            np.maximum.at(error, middle.nearest(trajectory[:-1]), found)
-        return Tube(self, error, no_balls(self.answer_radius_rad), middle.poses, radius, middle.gap)
+        places = [middle.nearest(rows[:-1]) for rows in trajectories]
+        window = round(self.smoothing_m / self.spacing_m)
+        sure = calibrated(places, signs, len(middle.poses), window, self)
+        return Tube(self, *sure, no_balls(self.answer_radius_rad), middle.poses, radius, middle.gap)
 
     def nominal(self, count: int) -> float | None:
         """Return the share of new demonstrations that a tube around ``count`` holds; None for a single one."""
@@ -65,7 +68,7 @@ class TubeSettings(TrustSettings):
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
         """Return the domain whose arrays these are."""
         balls = no_balls(self.answer_radius_rad)
-        return Tube(self, arrays["error"], balls, arrays["middle"], arrays["radius"], arrays["spread"])
+        return Tube(self, arrays["right"], arrays["doubt"], balls, arrays["middle"], arrays["radius"], arrays["spread"])
 
 
 @dataclass(frozen=True)
@@ -117,8 +120,8 @@ class Middle:
 class Tube(TrustDomain):
     """Balls along the demonstrations' mean, as wide as calibrated, less those where the model errs.
 
-    A state is trusted if, at some place, position and orientation are both within their radii and the model's
-    held-out error at the place nearest to it is within its limits.
+    A state is trusted if, at some place, position and orientation are both within their radii and rewards are right
+    often enough at the place nearest to it.
 
     Attributes:
         middle: (S, 7) poses along the mean.
@@ -135,31 +138,25 @@ class Tube(TrustDomain):
         """Return middle, radius and spread."""
         return {"middle": self.middle, "radius": self.radius, "spread": self.spread}
 
-    def covers(self, poses: Array, steps: np.ndarray) -> np.ndarray:
-        """Return whether poses (N, 7) are in the tube where the model does not err, (N,); steps do not matter."""
+    def covers(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether poses (N, 7) are in the tube, and the nearest place's doubt; steps do not matter."""
         squared = squared_distances(poses[:, pose.POSITION], self.middle[:, pose.POSITION])
         cosine = np.abs(poses[:, pose.QUATERNION] @ self.middle[:, pose.QUATERNION].T)
         limit, least = self._limits_squared
-        within = ((squared <= limit) & (cosine >= least)).any(axis=1)
-        known = self._known
-        return np.asarray(within if known is None else within & known[squared.argmin(axis=1)])
+        within = np.asarray(((squared <= limit) & (cosine >= least)).any(axis=1))
+        return within, self.doubt[squared.argmin(axis=1)]
 
     @cached_property
     def _limits_squared(self) -> tuple[Array, Array]:
         half = np.minimum(0.5 * self.radius[:, 1], 0.5 * np.pi)
         return self.radius[:, 0] ** 2, np.cos(half)
 
-    @cached_property
-    def _known(self) -> np.ndarray | None:
-        known = self.known
-        return None if known.all() else known
-
     def depth(self, poses: Array) -> Array:
         """Return how far poses (N, 7) are from the middle in radii, (N,)."""
         return np.asarray(scaled_distances(poses, self.middle, self.radius).min(axis=1))
 
     def reason(self, point: Array, step: int) -> str:
-        """Return how far a pose (7,) is from the tube, or how large the model's error is."""
+        """Return how far a pose (7,) is from the tube, or how seldom rewards are right there."""
         far = scaled_distances(point[None], self.middle, self.radius)[0]
         place = int(far.argmin())
         if far[place] > 1.0:
@@ -170,7 +167,7 @@ class Tube(TrustDomain):
                 return f"position is {moved * 1e3:.1f} mm from the demonstrations' mean (tube {radius * 1e3:.1f} mm)"
             return f"orientation is {np.degrees(turned):.1f}° from the demonstrations' (tube {np.degrees(turn):.1f}°)"
         squared = squared_distances(point[None, pose.POSITION], self.middle[:, pose.POSITION])
-        return self.error_reason(int(squared[0].argmin()))
+        return self.doubt_of(int(squared[0].argmin()))
 
 
 def scaled_distances(poses: Array, places: Array, unit: Array) -> Array:

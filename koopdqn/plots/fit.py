@@ -98,9 +98,7 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
 
 
 def _position_errors(axes: Axes, fitted: Fitted, task: Task, room: float) -> None:
-    settings = fitted.trust.settings
     lines = [
-        (settings.error_limit_m * _MM, RED, "-", "trust limit"),
         (task.position_tolerance_m * _MM, INK, "--", "compare tolerance"),
     ]
     paper = fitted.report["sixty_samples"]["paper_max_m"]
@@ -115,7 +113,6 @@ def _position_errors(axes: Axes, fitted: Fitted, task: Task, room: float) -> Non
 def _rotation_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
     degree = float(np.degrees(1.0))
     lines = [
-        (fitted.trust.settings.error_limit_rad * degree, RED, "-", "trust limit"),
         (task.rotation_tolerance_rad * degree, INK, "--", "compare tolerance"),
     ]
     _errors(axes, fitted, fitted.report["one_step_error_per_step_rad"], degree, lines, "°", room=1.6)
@@ -152,7 +149,7 @@ def _errors(
 
 
 def _shade(axes: Axes, asked: np.ndarray, steps: int) -> None:
-    """Shade the places (S,) of the trust domain at which the model's error is over the limit, spread over the steps."""
+    """Shade the places (S,) of the trust domain where too few rewards are right, spread over the steps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], asked, [False]]).astype(int))) * steps / len(asked)
     for index, (start, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
         axes.axvspan(start, end, color=ASK, lw=0, label=None if index else "the expert is asked", zorder=0)
@@ -220,7 +217,7 @@ def _extent(trust: TrustDomain) -> tuple[Array, Array]:
         return trust.middle[:, pose.POSITION], np.repeat(trust.radius[:, :1], 3, axis=1)
     if isinstance(trust, Box):
         return trust.mean[:, :3], (trust.settings.sigmas * trust.deviation)[:, :3]
-    return np.zeros((len(trust.error), 3)), np.zeros((len(trust.error), 3))
+    return np.zeros((len(trust.right), 3)), np.zeros((len(trust.right), 3))
 
 
 def _named(trust: TrustDomain) -> str:
@@ -249,7 +246,7 @@ def _tube_legend(axes: Axes, trust: TrustDomain) -> None:
         Patch(color=TRUST, label=_named(trust)),
     ]
     if not trust.known.all():
-        handles.append(Patch(color=ASK, label="error over the limit: ask"))
+        handles.append(Patch(color=ASK, label="too few rewards right: ask"))
     existing, _ = axes.get_legend_handles_labels()
     axes.legend(handles=[*handles, *existing], loc="best")
 

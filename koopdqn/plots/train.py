@@ -15,7 +15,7 @@ from koopdqn.training.history import History
 WIDTH, HEIGHT = 1560, 900
 _WINDOW = 25
 """Episodes in the running mean."""
-_SOURCE_COLOURS = {"rule": GREY, "trusted": GREEN, "asked": ORANGE, "remembered": SKY}
+_SOURCE_COLOURS = {"rule": GREY, "trusted": GREEN, "asked": ORANGE, "remembered": SKY, "certified": BLUE}
 
 
 def plot_training(path: Path, history: History, report: dict[str, Any]) -> None:

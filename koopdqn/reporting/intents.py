@@ -8,9 +8,11 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.resample import to_count
+from koopdqn.environment.reward import RewardSettings
 from koopdqn.intent.fitting import agent_steps, fit
 from koopdqn.intent.measures import sampled_at
 from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.signs import along_mean, counted
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
@@ -59,13 +61,13 @@ class IntentStudy:
 
     Attributes:
         name: of the intent's config option.
-        trust: how its trust domain is drawn.
+        reward: how its rewards are made.
         report: the content of a ``fit.json``.
         held_out: the demonstration shown in figures, predicted by the others.
     """
 
     name: str
-    trust: TrustSettings
+    reward: RewardSettings
     report: dict[str, Any]
     held_out: HeldOut
 
@@ -75,7 +77,12 @@ class IntentStudy:
 
 
 def study(
-    demonstrations: Demonstrations, task: Task, intent: IntentSettings, trust: TrustSettings, shown: int = 0
+    demonstrations: Demonstrations,
+    task: Task,
+    intent: IntentSettings,
+    trust: TrustSettings,
+    reward: RewardSettings,
+    shown: int = 0,
 ) -> IntentStudy:
     """Return an intent's cross-validated report and its errors on one held-out demonstration.
 
@@ -84,26 +91,30 @@ def study(
         task: gives goal, step and tolerances.
         intent: how the model is fitted.
         trust: how the trust domain is drawn.
+        reward: how rewards are made.
         shown: which demonstration is held out.
 
     Raises:
         BadInputError: the demonstrations do not fit the task, or are too few.
     """
-    fitted = fit(demonstrations, task, intent, trust)
+    fitted = fit(demonstrations, task, intent, trust, reward)
     intent = intent.with_ridge(fitted.report["ridge"])
     trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
-    raw, rescaled = [], []
-    for index, trajectory in enumerate(trajectories):
-        model = IntentModel.fit(_without(trajectories, index), task, intent)
-        raw.append(_distances(model.predict(trajectory[:-1]), trajectory[1:]))
-        rescaled.append(_distances(model.preferred(trajectory[:-1], task.step_m), trajectory[1:]))
-    counted = raw if trust.error_of == "raw" else rescaled
-    domain = TrustDomain.fit(_without(trajectories, shown), _without(counted, shown), task.frame, trust)
+    models = [IntentModel.fit(_without(trajectories, index), task, intent) for index in range(len(trajectories))]
+    law = along_mean(trajectories, task)
+    signs = [
+        counted(model, rows[:-1], law.next_pose(rows[:-1]), task, reward.prediction, trust.doubts)
+        for model, rows in zip(models, trajectories, strict=True)
+    ]
+    domain = TrustDomain.fit(_without(trajectories, shown), _without(signs, shown), task.frame, trust)
+    before, after = trajectories[shown][:-1], trajectories[shown][1:]
+    raw = _distances(models[shown].predict(before), after)
+    rescaled = _distances(models[shown].preferred(before, task.step_m), after)
     inside = domain.inside(trajectories[shown], np.arange(len(trajectories[shown])))
     # As the reward does: the reached state must be trusted, by default the one before as well.
     asked = ~inside[1:] if trust.needs == "reached" else ~(inside[1:] & inside[:-1])
-    held_out = HeldOut(shown, raw[shown], rescaled[shown], asked, _sixty(demonstrations, task, intent, shown))
-    return IntentStudy(intent.name, trust, fitted.report, held_out)
+    held_out = HeldOut(shown, raw, rescaled, asked, _sixty(demonstrations, task, intent, shown))
+    return IntentStudy(intent.name, reward, fitted.report, held_out)
 
 
 def _sixty(demonstrations: Demonstrations, task: Task, intent: IntentSettings, shown: int) -> Array:

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from koopdqn.config.settings import load_settings
+from koopdqn.config.settings import load_settings, validate
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.environment.reward import RewardSettings
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
 from koopdqn.intent.fitting import agent_steps
@@ -68,8 +69,8 @@ class Material:
         return tuple(self.studies[name][1] for name in ("paper", "pose"))
 
 
-Intents = Mapping[str, tuple[IntentSettings, TrustSettings]]
-"""How intents are fitted and where they are trusted, by name."""
+Intents = Mapping[str, tuple[IntentSettings, TrustSettings, RewardSettings]]
+"""How intents are fitted, where they are trusted and how they reward, by name."""
 
 
 def gather(groups: Mapping[str, Group], intents: Intents, folder: Path, advance: Callable[[], None]) -> Material:
@@ -94,13 +95,16 @@ def gather(groups: Mapping[str, Group], intents: Intents, folder: Path, advance:
     try:
         own = load_settings(run.about["intent"], IntentSettings, "intent")
         trust = load_settings(run.about["trust"], TrustSettings, "trust")
+        reward = validate(run.about["reward"], RewardSettings, "reward")
     except BadInputError as error:
         raise BadInputError(f"run {run.folder} must have an intent of this release, found: {error}") from error
     studies = {}
-    for name, (settings, domain) in intents.items():
+    for name, (settings, its_trust, its_reward) in intents.items():
         # Another intent than the paper's is trusted as the run's own, unless the run is the paper's.
         ours = run.train["intent"] == name or (name != PAPER and run.train["intent"] != PAPER)
-        found = study(demonstrations, run.task, own if own.name == name else settings, trust if ours else domain, SHOWN)
+        used = own if own.name == name else settings
+        domain, rewarded = (trust, reward) if ours else (its_trust, its_reward)
+        found = study(demonstrations, run.task, used, domain, rewarded, SHOWN)
         file = folder / "fits" / f"{run.task.name}-{name}.json"
         write_json(file, found.content())
         studies[name] = (found, file)

@@ -7,7 +7,7 @@ import numpy as np
 from koopdqn.dqn.observation import observe
 from koopdqn.dqn.replay import Transitions
 from koopdqn.environment.compare import within_tolerance
-from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED, Judgement
+from koopdqn.environment.reward import RULE, SOURCES, Judgement
 from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
@@ -102,6 +102,6 @@ class Tries:
         wished = demonstrator_wishes(task, self.poses[counted][first], self.starts[counted][first])[state]
         agrees = within_tolerance(self.judgement.reached[self.rows[counted], self.actions[counted]], wished, task)
         same = agrees == (self.rewards[counted] >= 0)
-        for source in (TRUSTED, ASKED, REMEMBERED):
+        for source in range(RULE + 1, len(SOURCES)):
             history.judged[source] += int((sources == source).sum())
             history.agreed[source] += int(same[sources[counted] == source].sum())

@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from koopdqn.dqn.replay import ReplayBuffer
-from koopdqn.environment.reward import REMEMBERED, TRUSTED, IntentReward, Judgement
+from koopdqn.environment.reward import BY_MODEL, REMEMBERED, IntentReward, Judgement
 from koopdqn.feedback.memory import AnswerMemory, FeedbackSettings
 from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.feedback.scripted import ScriptedOracle
@@ -185,12 +185,12 @@ class Feedback:
         return about
 
     def _recompute(self, poses: Array, replay: ReplayBuffer) -> None:
-        """Give the trusted rewards near placed poses (M, 7) their present values; what is no more trusted goes."""
+        """Give the model's rewards near placed poses (M, 7) their present values; what is no more trusted goes."""
         held = replay.held()
         far = np.maximum(self._radii(poses), 2.0 * self.reward.model.reach)
         placed = self.reward.model.start_frame.placed(held.poses, held.starts)
         moved = np.linalg.norm(placed[:, None, :3] - poses[None, :, :3], axis=2)
-        rows = np.flatnonzero((held.sources == TRUSTED) & (moved <= far).any(axis=1))
+        rows = np.flatnonzero(np.isin(held.sources, BY_MODEL) & (moved <= far).any(axis=1))
         lost = np.zeros(len(replay), dtype=bool)
         for begin in range(0, len(rows), _TOGETHER):
             part = rows[begin : begin + _TOGETHER]

@@ -19,7 +19,10 @@ class CheckReport(ReportModel):
 class RewardAgreement(ReportModel):
     """Share of the rewards whose sign the task's demonstrator gives too; null where no such reward was given."""
 
-    trusted: Fraction | None = Field(description="of the rewards from the trusted intent model")
+    trusted: Fraction | None = Field(description="of the intent model's rewards where demonstrations vouch for it")
+    certified: Fraction | None = Field(
+        description="of its rewards where only an answer nearby vouches for it: what a yes certifies"
+    )
     remembered: Fraction | None = Field(description="of the rewards from remembered answers")
     asked: Fraction | None = Field(description="of the rewards from asking")
 
@@ -27,7 +30,8 @@ class RewardAgreement(ReportModel):
 class RewardsGiven(ReportModel):
     """Rewards by source; what the rules alone decide is not among them."""
 
-    trusted: NonNegativeInt = Field(description="from the trusted intent model")
+    trusted: NonNegativeInt = Field(description="from the intent model where demonstrations vouch for it")
+    certified: NonNegativeInt = Field(description="from the intent model where only an answer nearby vouches for it")
     remembered: NonNegativeInt = Field(description="from remembered answers")
     asked: NonNegativeInt = Field(description="from asking")
 
@@ -64,7 +68,7 @@ class TrainReport(ReportModel):
         description="rewards in the replay buffer recomputed because an answer changed the intent model"
     )
     trusted_fraction: Fraction | None = Field(
-        description="share of rewards_given that came from the trusted model; null if there was none"
+        description="share of rewards_given that came from the intent model, trusted or certified; null if none did"
     )
     reward_agreement: RewardAgreement = Field(description="agreement with the demonstrator by source")
     rewards_given: RewardsGiven = Field(description="number of rewards by source")

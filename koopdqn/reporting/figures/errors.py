@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from koopdqn import pose
 from koopdqn.intent.line import line_through
-from koopdqn.plots.style import ASK, BLUE, DEMONSTRATED, GREY, INK, ORANGE, PINK, RED, SKY, picture
+from koopdqn.plots.style import ASK, BLUE, DEMONSTRATED, GREY, INK, ORANGE, PINK, SKY, picture
 from koopdqn.pose import Array
 from koopdqn.reporting.intents import SAMPLES, IntentStudy
 from koopdqn.tasks.task import Task
@@ -50,17 +50,13 @@ def plot_errors(
 
 
 def _at_agents_step(axes: Axes, study: IntentStudy, column: int, scale: float, tolerance: float, unit: str) -> None:
-    held_out, trust = study.held_out, study.trust
+    held_out = study.held_out
     raw, rescaled = held_out.error[:, column] * scale, held_out.rescaled[:, column] * scale
     _shade(axes, held_out.asked)
     axes.plot(raw, color=_COLOURS[study.name], label="raw prediction")
     lines = [(tolerance, INK, "--", "tolerance")]
-    if trust.error_of == "rescaled":
-        if column == 0:
-            axes.plot(rescaled, color=GREY, linewidth=1.1, label="rescaled to the step, as compared")
-        limit = (trust.error_limit_m, trust.error_limit_rad)[column] * scale
-        if limit != tolerance:
-            lines.append((limit, RED, ":", "trust limit"))
+    if study.reward.prediction == "rescaled" and column == 0:
+        axes.plot(rescaled, color=GREY, linewidth=1.1, label="rescaled to the step, as compared")
     for value, colour, style, meaning in lines:
         axes.axhline(
             value,
