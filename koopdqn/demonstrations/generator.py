@@ -71,7 +71,7 @@ def generate(
     shapes = _Shapes(task, rng)
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
-        start = task.draw_starts(rng, 1)[0]
+        start = task.draw_demonstrated_starts(rng, 1)[0]
         joints, reason = None, reachability.enter(start).reason
         if not reason:
             shape = shapes.draw()

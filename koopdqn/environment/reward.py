@@ -104,7 +104,7 @@ class IntentReward:
             predicted = self.model.to_step(poses, predicted, self.task.step_m)
         return predicted
 
-    def extended(self, yeses: Array, radii: Array, before: Array, after: Array) -> "IntentReward":
+    def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
         """Return the reward function with a model and a trust domain extended by answers.
 
         Args:
@@ -112,8 +112,9 @@ class IntentReward:
             radii: (M,) [m].
             before: poses (D, 7) at which the model did not expect the answer.
             after: poses (D, 7) that the person wants reached from them.
+            reaches: (D,) [m] how far from them that moves the model.
         """
-        model = self.model if not len(before) else self.model.extended(before, after)
+        model = self.model if not len(before) else self.model.extended(before, after, reaches)
         trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
         return IntentReward(self.task, model, trust, self.settings)
 

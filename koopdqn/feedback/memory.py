@@ -38,6 +38,7 @@ class AnswerMemory:
         reached: poses (7,) after them.
         right: what was said.
         margins: of the intent model's own opinion when it was asked; at least 0: it had thought the action right.
+        expected: whether the model had thought it right and no other action more so.
         contradictions: how often nothing was left that could have been right.
     """
 
@@ -48,6 +49,7 @@ class AnswerMemory:
     reached: list[Row] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
     margins: list[float] = field(default_factory=list)
+    expected: list[bool] = field(default_factory=list)
     contradictions: int = 0
     _stacked: Array | None = field(default=None, init=False, repr=False, compare=False)
 
@@ -55,10 +57,12 @@ class AnswerMemory:
         """Return the number of answers held."""
         return len(self.numbers)
 
-    def add(self, number: int, point: Array, action: int, reached: Array, *, right: bool, margin: float) -> None:
+    def add(
+        self, number: int, point: Array, action: int, reached: Array, *, right: bool, margin: float, expected: bool
+    ) -> None:
         """Remember the answer of a number to a question about a pose (7,), an action and the pose it reached (7,)."""
         # Rows of plain floats: thousands of small arrays kept would hold the allocator's larger blocks apart.
-        row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, margin)
+        row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, margin, expected)
         for values, value in zip(self._columns(), row, strict=True):
             values.append(value)
         self._stacked = None
@@ -90,10 +94,11 @@ class AnswerMemory:
         return found
 
     def extension(self) -> tuple[Array, Array, Array]:
-        """Return the poses (M, 7) of yeses, and (D, 7) before and after those that the model did not expect."""
+        """Return the poses (M, 7) of yeses that the model expected, and (D, 7) before and after the others."""
         yes = [i for i, right in enumerate(self.right) if right]
-        unexpected = [i for i in yes if self.margins[i] < 0]
-        return _rows(self.poses, yes), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
+        expected = [i for i in yes if self.expected[i]]
+        unexpected = [i for i in yes if not self.expected[i]]
+        return _rows(self.poses, expected), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
 
     def withdraw(self, numbers: set[int]) -> None:
         """Forget the answers of these numbers."""
@@ -117,6 +122,7 @@ class AnswerMemory:
             "reached": _rows(self.reached, range(len(self))),
             "right": np.array(self.right, dtype=np.bool_),
             "margins": np.array(self.margins, dtype=np.float64),
+            "expected": np.array(self.expected, dtype=np.bool_),
             "contradictions": np.array(self.contradictions),
         }
 
@@ -124,6 +130,7 @@ class AnswerMemory:
         """Hold what :meth:`state` returned."""
         self.numbers, self.actions = state["numbers"].tolist(), state["actions"].tolist()
         self.right, self.margins = state["right"].tolist(), state["margins"].tolist()
+        self.expected = state["expected"].tolist()
         self.poses, self.reached = ([tuple(row) for row in state[name].tolist()] for name in ("poses", "reached"))
         self._stacked = None
         self.contradictions = int(state["contradictions"])
@@ -135,7 +142,7 @@ class AnswerMemory:
         return self._stacked
 
     def _columns(self) -> tuple[list, ...]:  # type: ignore[type-arg]  # columns of different types
-        return self.numbers, self.poses, self.actions, self.reached, self.right, self.margins
+        return self.numbers, self.poses, self.actions, self.reached, self.right, self.margins, self.expected
 
     def _keep(self, kept: list[bool]) -> None:
         for values in self._columns():

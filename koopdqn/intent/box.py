@@ -107,6 +107,14 @@ class Box(TrustDomain):
         rows = components_of(poses, self.frame)
         return np.asarray(self._sigmas(rows).max(axis=2).min(axis=1) / self.settings.sigmas)
 
+    def gap(self, poses: Array) -> Array:
+        """Return how far the positions of poses (N, 7) are outside every box, (N,) [m]."""
+        if self.settings.matching in ("everywhere", "nowhere"):
+            return np.zeros(len(poses))
+        width = self.settings.sigmas * self.deviation[:, :3]
+        outside = np.abs(poses[:, None, :3] - self.mean[:, :3]) - width
+        return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=2).min(axis=1))
+
     def reason(self, point: Array, step: int) -> str:
         """Return which component of a pose (7,) is how far off, or how seldom rewards are right there."""
         if self.settings.matching == "nowhere":

@@ -1,6 +1,6 @@
-"""Corrections: an intent model that a handful of answers move where they were given, and nowhere else."""
+"""Corrections: an intent model that goes where answers say around the poses that they were given for."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,49 +10,38 @@ from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
 
-# Of a correction's reach: where it has died out. At the reach itself a tenth of it is left.
-_SUPPORT = 1.7
-# A pair corrects the orientations within this angle of its own [rad].
+# Orientations farther than this from a pair's [rad] are not moved by it.
 _SUPPORT_RAD = 0.35
-# Of a lone pair's weight: pairs that contradict each other at one place are averaged.
-_RIDGE = 0.01
+# Nearer to the goal than this [m] corrections fade, so that it stays where it is.
+_GOAL_M = 0.015
+# Of two poses this near [m] none is nearer.
+_SAME_M = 1e-4
 
 
 @dataclass(frozen=True)
 class CorrectedIntent(IntentModel):
-    """An intent model with additional observables around the poses of additional pairs.
+    """An intent model that around some poses makes the motions that a person called right there.
 
-    Every pair adds one observable, a bump of compact support (Wendland's C² function) around its pose. Their rows of K
-    are fitted to what the base model leaves of the pairs, so that the prediction goes through them, stays as it was
-    beyond the bumps' reach, and the goal stays where it was.
+    Within half a pair's reach the prediction is the pair's own motion, or that of several, the nearer the more it
+    counts (Shepard 1968, inverse squared distances); it blends into the base model's up to the reach, and beyond
+    it is the base model's.
 
     Attributes:
         base: the model as it was fitted.
         poses: (M, 7) the pairs' poses.
         following: (M, 7) where a person would go from them.
+        reaches: (M,) [m] how far from its pose each pair moves the prediction.
     """
 
     base: IntentModel
     poses: Array
     following: Array
-    _weights: Array = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        """Fit the bumps' weights (M, 6) [m, rad] to the residuals."""
-        residual = _difference(self.following, self.base.predict(self.poses))
-        bumps = self._bumps(self.poses)
-        gram = bumps.T @ bumps + _RIDGE * np.eye(len(self.poses))
-        object.__setattr__(self, "_weights", np.linalg.solve(gram, bumps.T @ residual))
+    reaches: Array
 
     @property
     def goal(self) -> Array:  # type: ignore[override]  # what a model holds as a field this one takes from its base
         """The goal pose (7,)."""
         return self.base.goal
-
-    @property
-    def reach(self) -> float:  # type: ignore[override]
-        """How far a correction reaches [m]."""
-        return self.base.reach
 
     @property
     def start_frame(self) -> StartFrame:  # type: ignore[override]
@@ -62,11 +51,21 @@ class CorrectedIntent(IntentModel):
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
         predicted = self.base.predict(poses)
-        change = self._bumps(poses) @ self._weights
-        turned = pose.multiply(predicted[:, pose.QUATERNION], pose.from_rotation_vector(change[:, 3:]))
-        # A quaternion that is not turned keeps its bits.
-        turned = np.where(np.any(change[:, 3:] != 0.0, axis=1, keepdims=True), turned, predicted[:, pose.QUATERNION])
-        return pose.make(predicted[:, pose.POSITION] + change[:, :3], turned)
+        blend, weights = self._blend(poses)
+        rows = np.flatnonzero(blend > 0.0)
+        if not len(rows):
+            return predicted
+        share, weights = blend[rows, None], weights[rows]
+        answered = weights @ _difference(self.following, self.poses)
+        own = _difference(predicted[rows], poses[rows])
+        # A base model that leaps where it knows nothing must not outweigh an answer of one step.
+        length = np.linalg.norm(answered[:, :3], axis=1) / np.maximum(np.linalg.norm(own[:, :3], axis=1), _SAME_M)
+        own[:, :3] *= np.where(share < 1.0, np.minimum(length, 1.0)[:, None], 1.0)
+        motion = share * answered + (1.0 - share) * own
+        turned = pose.multiply(poses[rows, pose.QUATERNION], pose.from_rotation_vector(motion[:, 3:]))
+        predicted = predicted.copy()
+        predicted[rows] = pose.make(poses[rows, pose.POSITION] + motion[:, :3], turned)
+        return predicted
 
     def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
         """Return predictions (N, 7) as motions of one step, as the base scales them."""
@@ -79,32 +78,35 @@ class CorrectedIntent(IntentModel):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the base's arrays and the pairs."""
-        return {**self.base.arrays(), "pairs_before": self.poses, "pairs_after": self.following}
+        pairs = {"pairs_before": self.poses, "pairs_after": self.following, "pairs_reach": self.reaches}
+        return {**self.base.arrays(), **pairs}
 
-    def extended(self, poses: Array, following: Array) -> IntentModel:
-        """Return the model with further pairs of poses (M, 7) and next poses (M, 7)."""
-        together = np.concatenate([self.poses, poses]), np.concatenate([self.following, following])
-        return CorrectedIntent(self.base, *together)
+    def extended(self, poses: Array, following: Array, reaches: Array) -> IntentModel:
+        """Return the model with further pairs of poses (M, 7) and next poses (M, 7), and their reaches (M,) [m]."""
+        pairs = (self.poses, poses), (self.following, following), (self.reaches, reaches)
+        return CorrectedIntent(self.base, *(np.concatenate(each) for each in pairs))
 
-    def _bumps(self, poses: Array) -> Array:
+    def _blend(self, poses: Array) -> tuple[Array, Array]:
+        """Return how much answers count at poses (N, 7), (N,), and how much each of them does, (N, M), in sum 1."""
         position = poses[:, pose.POSITION]
-        far = _distances(position, self.poses[:, pose.POSITION]) / (_SUPPORT * self.reach)
+        moved = np.linalg.norm(position[:, None] - self.poses[:, pose.POSITION], axis=2)
         cosine = np.clip(np.abs(poses[:, pose.QUATERNION] @ self.poses[:, pose.QUATERNION].T), 0.0, 1.0)
         turned = 2.0 * np.arccos(cosine) / _SUPPORT_RAD
-        left = _distances(position, self.goal[None, pose.POSITION]) / self.reach
-        return _wendland(far) * _wendland(turned) * (1.0 - _wendland(left))
+        near = _fading(2.0 * moved / self.reaches - 1.0) * _fading(turned)
+        weights = near / np.maximum(moved, _SAME_M) ** 2
+        total = weights.sum(axis=1, keepdims=True)
+        left = np.linalg.norm(position - self.goal[pose.POSITION], axis=1)
+        return near.max(axis=1) * (1.0 - _fading(left / _GOAL_M)), weights / np.where(total > 0.0, total, 1.0)
 
 
-def _wendland(radius: Array) -> Array:
-    return np.asarray(np.maximum(1.0 - radius, 0.0) ** 4 * (4.0 * radius + 1.0))
-
-
-def _distances(a: Array, b: Array) -> Array:
-    return np.asarray(np.linalg.norm(a[:, None] - b[None], axis=2))
+def _fading(share: Array) -> Array:
+    """Return Wendland's C² function of shares (...): 1 up to 0, 0 from 1 on."""
+    share = np.clip(share, 0.0, 1.0)
+    return np.asarray((1.0 - share) ** 4 * (4.0 * share + 1.0))
 
 
 def _difference(poses: Array, others: Array) -> Array:
     """Return x, y, z [m] and the rotation vector [rad] (N, 6) from other poses (N, 7) to poses (N, 7)."""
     turn = pose.multiply(pose.conjugate(others[:, pose.QUATERNION]), poses[:, pose.QUATERNION])
     moved = poses[:, pose.POSITION] - others[:, pose.POSITION]
-    return np.concatenate([moved, pose.to_rotation_vector(turn)], axis=1)
+    return np.concatenate([moved, pose.to_rotation_vector(pose.canonical(turn))], axis=1)

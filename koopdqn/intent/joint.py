@@ -8,7 +8,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.intent.edmd import KoopmanModel, snapshot_pairs
-from koopdqn.intent.model import IntentModel, IntentSettings, reach_of
+from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import AnyObservables
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task, angles_in, quaternions_in
@@ -24,7 +24,7 @@ class JointIntentSettings(IntentSettings):
         """Return the model fitted to pose trajectories (N, 7)."""
         before, after = snapshot_pairs([_state(trajectory, task.frame) for trajectory in trajectories])
         koopman = KoopmanModel.fit(self.observables, before, after, np.zeros(6), 1.0, self.ridge)
-        return JointIntent(koopman, task.frame, task.orientation == "held", task.goal, reach_of(task))
+        return JointIntent(koopman, task.frame, task.orientation == "held", task.goal)
 
     @property
     def ridges(self) -> tuple[float, ...]:
@@ -34,7 +34,7 @@ class JointIntentSettings(IntentSettings):
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model whose arrays these are."""
         koopman = KoopmanModel(self.observables, np.zeros(6), 1.0, arrays["matrix"])
-        return JointIntent(koopman, arrays["frame"], bool(arrays["held"]), arrays["goal"], float(arrays["reach"]))
+        return JointIntent(koopman, arrays["frame"], bool(arrays["held"]), arrays["goal"])
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,12 @@ class JointIntent(IntentModel):
         frame: (2, 4) of the angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
         held: whether orientation is held whatever the model says.
         goal: the goal pose (7,).
-        reach: of additional pairs [m].
     """
 
     koopman: KoopmanModel
     frame: Array
     held: bool
     goal: Array
-    reach: float
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
@@ -73,7 +71,6 @@ class JointIntent(IntentModel):
             "frame": self.frame,
             "held": np.array(self.held),
             "goal": self.goal,
-            "reach": np.array(self.reach),
         }
 
 

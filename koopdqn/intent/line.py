@@ -7,7 +7,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.intent.edmd import KoopmanModel
-from koopdqn.intent.model import IntentModel, IntentSettings, reach_of
+from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Affine
 from koopdqn.intent.rotation import RotationModel
 from koopdqn.intent.separate import SeparateIntent
@@ -26,7 +26,7 @@ class LineIntentSettings(IntentSettings):
         rotation = None
         if task.orientation == "learned":
             rotation = RotationModel(_line_model(task.angles(chosen[:, pose.QUATERNION])), task.frame, "angles")
-        return SeparateIntent(_line_model(chosen[:, pose.POSITION]), rotation, task.goal, reach_of(task))
+        return SeparateIntent(_line_model(chosen[:, pose.POSITION]), rotation, task.goal)
 
     @property
     def ridges(self) -> tuple[float, ...]:
@@ -38,7 +38,7 @@ class LineIntentSettings(IntentSettings):
         rotation = None
         if "rotation_matrix" in arrays:
             rotation = RotationModel(_model(arrays["rotation_matrix"]), arrays["rotation_frame"], "angles")
-        return SeparateIntent(_model(arrays["matrix"]), rotation, arrays["goal"], float(arrays["reach"]))
+        return SeparateIntent(_model(arrays["matrix"]), rotation, arrays["goal"])
 
 
 def line_through(states: Array) -> tuple[Array, Array]:

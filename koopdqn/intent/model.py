@@ -14,13 +14,6 @@ from koopdqn.tasks.task import Task
 
 # Below this [m, or of a quaternion's entries] a roll-out has come to rest.
 _AT_REST = 1e-9
-# How far from its pose an additional pair changes the prediction, in steps: what an answer says of its surroundings.
-_REACH_STEPS = 7.0
-
-
-def reach_of(task: Task) -> float:
-    """Return how far from its pose an answer changes the prediction [m]."""
-    return _REACH_STEPS * task.step_m
 
 
 class IntentSettings(Settings, ABC):
@@ -65,12 +58,10 @@ class IntentModel(ABC):
 
     Attributes:
         goal: the goal pose (7,).
-        reach: how far from its pose an additional pair changes the prediction [m].
         start_frame: in which it knows poses; all but :meth:`intended` take them as placed there.
     """
 
     goal: Array
-    reach: float
     start_frame: StartFrame = STILL
 
     @classmethod
@@ -78,7 +69,7 @@ class IntentModel(ABC):
         """Return the model whose :meth:`arrays` these are, with what it was extended with."""
         model = settings.restore(arrays)
         if "pairs_before" in arrays:
-            return model.extended(arrays["pairs_before"], arrays["pairs_after"])
+            return model.extended(*(arrays[f"pairs_{name}"] for name in ("before", "after", "reach")))
         return model
 
     @classmethod
@@ -107,15 +98,15 @@ class IntentModel(ABC):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return everything but the settings, as arrays."""
 
-    def extended(self, poses: Array, following: Array) -> "IntentModel":
+    def extended(self, poses: Array, following: Array, reaches: Array) -> "IntentModel":
         """Return the model with additional pairs: from poses (M, 7) a person goes to ``following`` (M, 7).
 
-        They move the prediction within about :attr:`reach` of their poses and nowhere else, so that an answer
+        They move the prediction within ``reaches`` (M,) [m] of their poses and nowhere else, so that an answer
         counts as a fact about its surroundings. Equal pairs give the same model, and no pairs the model itself.
         """
         from koopdqn.intent.correction import CorrectedIntent
 
-        return CorrectedIntent(self, np.array(poses), np.array(following)) if len(poses) else self
+        return CorrectedIntent(self, np.array(poses), np.array(following), np.array(reaches)) if len(poses) else self
 
     def preferred(self, poses: Array, step: float) -> Array:
         """Return the predictions (N, 7) rescaled to the agent's step [m], at most up to the goal.

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from koopdqn import pose
 from koopdqn.config.settings import Floats
 from koopdqn.intent.edmd import KoopmanModel, within_radius
-from koopdqn.intent.model import IntentModel, IntentSettings, reach_of
+from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import AnyObservables
 from koopdqn.intent.rotation import RotationModel, RotationSettings
 from koopdqn.intent.stabilise import Pairs, Stabilisation, surrounded
@@ -65,7 +65,7 @@ class SeparateIntentSettings(IntentSettings):
         model = KoopmanModel.fit(*data, self.ridge[0], pairs.weight)
         if self.spectral_limit is not None:
             model = replace(model, matrix=within_radius(model.matrix, self.spectral_limit))
-        return SeparateIntent(model, self._rotation(trajectories, task), task.goal, reach_of(task))
+        return SeparateIntent(model, self._rotation(trajectories, task), task.goal)
 
     def alternatives(self, trajectories: list[Array], task: Task) -> dict[float, IntentModel]:
         """Return the models of all ridges, by ridge."""
@@ -76,8 +76,7 @@ class SeparateIntentSettings(IntentSettings):
         rotation = self._rotation(trajectories, task)
         models = KoopmanModel.one_step(*data, self.ridge, pairs.weight)
         return {
-            ridge: SeparateIntent(model, rotation, task.goal, reach_of(task))
-            for ridge, model in zip(self.ridge, models, strict=True)
+            ridge: SeparateIntent(model, rotation, task.goal) for ridge, model in zip(self.ridge, models, strict=True)
         }
 
     def _pairs(self, trajectories: list[Array], task: Task) -> tuple[Pairs, Array, float]:
@@ -104,7 +103,7 @@ class SeparateIntentSettings(IntentSettings):
             turn = self.rotation.observables.restored(_below(arrays, _ROTATION_LIFT))
             koopman = KoopmanModel(turn, np.zeros(3), 1.0, arrays["rotation_matrix"])
             rotation = RotationModel(koopman, arrays["rotation_frame"], self.rotation.coordinates)
-        return SeparateIntent(position, rotation, arrays["goal"], float(arrays["reach"]))
+        return SeparateIntent(position, rotation, arrays["goal"])
 
 
 def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
@@ -119,13 +118,11 @@ class SeparateIntent(IntentModel):
         position: the Koopman model of positions, K_p.
         rotation: the model of orientations, or None where orientation is held.
         goal: the goal pose (7,).
-        reach: of additional pairs [m].
     """
 
     position: KoopmanModel
     rotation: RotationModel | None
     goal: Array
-    reach: float
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7), Eqs. 13, 14, 17, 18."""
@@ -147,7 +144,6 @@ class SeparateIntent(IntentModel):
             "center": self.position.center,
             "scale": np.array(self.position.scale),
             "goal": self.goal,
-            "reach": np.array(self.reach),
         }
         held |= {_LIFT + name: values for name, values in self.position.observables.arrays().items()}
         if self.rotation is not None:

@@ -152,6 +152,10 @@ class TrustDomain(ABC):
         """Return how far poses (N, 7) are from the middle of the demonstrations, in its half widths, (N,)."""
 
     @abstractmethod
+    def gap(self, poses: Array) -> Array:
+        """Return how far the positions of poses (N, 7) are from what demonstrations vouch for, (N,) [m]; 0 within."""
+
+    @abstractmethod
     def reason(self, point: Array, step: int) -> str:
         """Return in a few words why a pose (7,) that is not trusted after ``step`` steps is not."""
 

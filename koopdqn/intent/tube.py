@@ -155,6 +155,11 @@ class Tube(TrustDomain):
         """Return how far poses (N, 7) are from the middle in radii, (N,)."""
         return np.asarray(scaled_distances(poses, self.middle, self.radius).min(axis=1))
 
+    def gap(self, poses: Array) -> Array:
+        """Return how far the positions of poses (N, 7) are outside the tube, (N,) [m]."""
+        squared = squared_distances(poses[:, pose.POSITION], self.middle[:, pose.POSITION])
+        return np.asarray(np.maximum(np.sqrt(squared) - self.radius[:, 0], 0.0).min(axis=1))
+
     def reason(self, point: Array, step: int) -> str:
         """Return how far a pose (7,) is from the tube, or how seldom rewards are right there."""
         far = scaled_distances(point[None], self.middle, self.radius)[0]

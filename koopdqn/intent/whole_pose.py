@@ -14,7 +14,7 @@ from koopdqn import pose
 from koopdqn.config.settings import Interval
 from koopdqn.demonstrations.resample import mean_poses, to_count
 from koopdqn.intent.edmd import KoopmanModel
-from koopdqn.intent.model import IntentModel, IntentSettings, reach_of
+from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Observables, RandomFourier
 from koopdqn.intent.stabilise import SPACING_M, Course
 from koopdqn.pose import Array
@@ -68,14 +68,14 @@ class WholePoseSettings(IntentSettings):
         before, after = (_state(poses, task.goal, spread) for poses in pairs)
         koopman = KoopmanModel.fit(self._observables, before, after, np.zeros(12), 1.0, self.ridge)
         held = task.orientation == "held"
-        return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal, reach_of(task))
+        return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model whose arrays these are."""
         koopman = KoopmanModel(self._observables, np.zeros(12), 1.0, arrays["matrix"])
-        spread, tolerance, reach = (float(arrays[name]) for name in ("spread", "rotation_tolerance", "reach"))
+        spread, tolerance = float(arrays["spread"]), float(arrays["rotation_tolerance"])
         frame = StartFrame.restore({name: arrays[f"frame_{name}"] for name in STILL.arrays()})
-        return WholePoseIntent(koopman, spread, bool(arrays["held"]), tolerance, arrays["goal"], reach, frame)
+        return WholePoseIntent(koopman, spread, bool(arrays["held"]), tolerance, arrays["goal"], frame)
 
     @property
     def _observables(self) -> FeaturesOfPlace:
@@ -118,7 +118,6 @@ class WholePoseIntent(IntentModel):
         held: whether orientation is held whatever the model says.
         rotation_tolerance: [rad].
         goal: the goal pose (7,).
-        reach: of additional pairs [m].
         start_frame: in which it knows poses.
     """
 
@@ -127,7 +126,6 @@ class WholePoseIntent(IntentModel):
     held: bool
     rotation_tolerance: float
     goal: Array
-    reach: float
     start_frame: StartFrame = STILL
 
     def predict(self, poses: Array) -> Array:
@@ -162,7 +160,6 @@ class WholePoseIntent(IntentModel):
             "held": np.array(self.held),
             "rotation_tolerance": np.array(self.rotation_tolerance),
             "goal": self.goal,
-            "reach": np.array(self.reach),
             **{f"frame_{name}": values for name, values in self.start_frame.arrays().items()},
         }
 

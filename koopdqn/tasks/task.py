@@ -187,6 +187,10 @@ class Task(TaskChoice):
             poses[:, pose.QUATERNION] = pose.multiply(start, tilt)
         return poses
 
+    def draw_demonstrated_starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Return ``count`` poses (count, 7) from where demonstrations begin; a task may begin elsewhere too."""
+        return self.draw_starts(rng, count)
+
     def reached(self, poses: Array) -> np.ndarray:
         """Return whether each pose (N, 7) counts as the goal, as booleans (N,)."""
         near = pose.position_distance(poses, self.goal) <= self.goal_tolerance_m

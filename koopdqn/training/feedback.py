@@ -14,6 +14,8 @@ from koopdqn.intent.trust import Balls
 from koopdqn.pose import Array
 
 _TOGETHER = 1024
+# A yes that the model did not expect moves it at least as far around as this.
+_LEAST_REACH_STEPS = 14.0
 
 
 @dataclass(frozen=True)
@@ -154,20 +156,29 @@ class Feedback:
             self.changes += self._settings.extend or self._settings.remember_m > 0
             self._standing.append(number)
         for action, right in said:
-            margin = float(judgement.margin[index, action])
+            margins = judgement.margin[index]
+            margin = float(margins[action])
+            expected = margin >= max(0.0, float(margins.max()))
             here, there = judgement.placed[index].copy(), judgement.placed_reached[index, action].copy()
-            self.memory.add(number, here, action, there, right=right, margin=margin)
+            self.memory.add(number, here, action, there, right=right, margin=margin, expected=expected)
             if right and self._settings.extend:
                 self._extend()
-                if margin < 0:
+                if not expected:
                     self._recompute(here[None], replay)
 
     def _extend(self) -> None:
-        yeses, before, after = self.memory.extension()
-        self.reward = self._base.extended(yeses, self._radii(yeses), before, after)
+        expected, before, after = self.memory.extension()
+        reaches = self._reaches(before)
+        radii = np.concatenate([self._radii(expected), np.minimum(0.5 * reaches, self._settings.reach_m)])
+        self.reward = self._base.extended(np.concatenate([expected, before]), radii, before, after, reaches)
 
     def _radii(self, poses: Array) -> Array:
         return np.full(len(poses), self._settings.reach_m)
+
+    def _reaches(self, poses: Array) -> Array:
+        """Return how far unexpected yeses at placed poses (M, 7) move the model [m]: not into what was demonstrated."""
+        least = _LEAST_REACH_STEPS * self._base.task.step_m
+        return np.maximum(self._base.trust.gap(poses), least)
 
     def _withdraw(self, count: int, replay: ReplayBuffer) -> list[tuple[Array, int]]:
         """Withdraw the latest answers; return the placed poses (7,) and actions that they were about."""
@@ -187,7 +198,7 @@ class Feedback:
     def _recompute(self, poses: Array, replay: ReplayBuffer) -> None:
         """Give the model's rewards near placed poses (M, 7) their present values; what is no more trusted goes."""
         held = replay.held()
-        far = np.maximum(self._radii(poses), 2.0 * self.reward.model.reach)
+        far = np.maximum(self._radii(poses), self._reaches(poses))
         placed = self.reward.model.start_frame.placed(held.poses, held.starts)
         moved = np.linalg.norm(placed[:, None, :3] - poses[None, :, :3], axis=2)
         rows = np.flatnonzero(np.isin(held.sources, BY_MODEL) & (moved <= far).any(axis=1))

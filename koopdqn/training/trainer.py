@@ -13,7 +13,7 @@ from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.replay import ReplayBuffer
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.episodes import EpisodeBatch
-from koopdqn.environment.reward import RULE, IntentReward, Judgement
+from koopdqn.environment.reward import ASKED, CERTIFIED, RULE, IntentReward, Judgement
 from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import Oracle, Place
 from koopdqn.pose import Array
@@ -161,11 +161,14 @@ class Trainer:
             self._try_known(judgement, observations)
         changes = self.feedback.changes
         for index in range(len(self._batch)):
-            if self.feedback.changes > changes:
-                # What one episode's answer has taught, or an undo has taken back, holds for the next one already.
-                changes = self.feedback.changes
-                judgement = self._judge()
-            self._act(index, judgement, values[index], observations[index])
+            refused = True
+            while refused:
+                if self.feedback.changes > changes:
+                    # What an answer has taught, or an undo has taken back, holds for the next question already.
+                    changes = self.feedback.changes
+                    judgement = self._judge()
+                # A no alone says little: the same place is asked about until something is right there.
+                refused = self._act(index, judgement, values[index], observations[index])
 
     def _judge(self) -> Judgement:
         return self.feedback.judge(self._batch.poses, self._batch.steps, self._batch.starts)
@@ -186,27 +189,30 @@ class Trainer:
         judgement.known[index, action] = True
         judgement.source[index, action] = RULE
 
-    def _act(self, index: int, judgement: Judgement, values: np.ndarray, observation: np.ndarray) -> None:
+    def _act(self, index: int, judgement: Judgement, values: np.ndarray, observation: np.ndarray) -> bool:
+        """Let an episode try one action; return whether it asked, was told no and has others to ask about."""
         batch = self._batch
+        asked = False
         action = self._choose(judgement, index, values)
         if action is None:
             # A question without an answer may have been about what is right.
             if not (batch.tried[index] & ~batch.stored[index]).any():
                 self.feedback.memory.contradict(judgement.placed[index])
             self._end(index)
-            return
+            return False
         places = batch.poses[index].copy(), batch.starts[index].copy()
         trial = Trial(int(batch.numbers[index]), int(batch.steps[index]), *places, action)
         motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
         if motion.joints is None:
             self._refuse(judgement, index, action)
-        elif not judgement.known[index, action]:
+        elif not judgement.known[index, action] or self._contested(judgement, index, action):
             if self._gathering.on:
                 self._gather(index, trial, judgement, motion.joints)
-                return
+                return False
             if not self._ask(trial, judgement, index):
                 batch.tried[index, action] = True
-                return
+                return False
+            asked = True
         reward = float(judgement.reward[index, action])
         right = reward >= 0
         moves = motion.joints is not None and (right or not self.agent.step_back)
@@ -218,10 +224,11 @@ class Trainer:
         batch.rewards[index] += reward
         if motion.joints is None or not moves:
             batch.tried[index, action] = True
-            return
+            return asked and self.agent.trials == "all" and not self.feedback.stopped
         batch.move(index, judgement.reached[index, action], motion.joints)
         if at_goal or cut:
             self._end(index)
+        return False
 
     def _choose(self, judgement: Judgement, index: int, values: np.ndarray) -> int | None:
         untried = ~self._batch.tried[index]
@@ -232,13 +239,20 @@ class Trainer:
             if known_right.any():
                 candidates = known_right
             else:
-                # Nothing is known to be right here: ask, the likeliest by the model's untrusted opinion first.
-                candidates, values, explore = untried & ~judgement.known[index], judgement.margin[index], False
+                # Nothing is known to be right here: ask, the likeliest by the model's opinion first, about all that
+                # neither rules nor demonstrations nor answers about it exclude.
+                open_ = np.isin(judgement.source[index], (ASKED, CERTIFIED))
+                candidates, values, explore = untried & open_, judgement.margin[index], False
         if not candidates.any():
             return None
         if explore:
             return int(self._explore_rng.choice(np.flatnonzero(candidates)))
         return int(np.where(candidates, values, -np.inf).argmax())
+
+    def _contested(self, judgement: Judgement, index: int, action: int) -> bool:
+        """Return whether an action that only an answer elsewhere speaks against was chosen: nothing else is left."""
+        certified = judgement.source[index, action] == CERTIFIED and judgement.reward[index, action] < 0
+        return self.agent.trials == "all" and bool(certified)
 
     def _ask(self, trial: Trial, judgement: Judgement, row: int, place: Place | None = None) -> bool:
         """Ask the oracle; return whether it answered (a skip is not a no)."""

@@ -1,0 +1,79 @@
+"""Putting a bottle into a shelf from both of its sides, demonstrated from one: where trust matters."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from koopdqn import pose
+from koopdqn.pose import Array
+from koopdqn.tasks import law
+from koopdqn.tasks.law import Law
+from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.task import Waypoints
+
+
+class BothSidesTask(ShelfTask):
+    """The shelf, with starts beside either of its side walls and demonstrations from beside one.
+
+    Nothing demonstrated tells that the other wall is gone around the other way.
+    """
+
+    other_waypoints: Waypoints = Field(description="flange positions from the other side, start first, goal last [m]")
+    other_share: float = Field(ge=0, le=1, description="share of the starts that lie on the other side")
+
+    @model_validator(mode="after")
+    def _check_ends(self) -> "BothSidesTask":
+        if self.other_waypoints[-1] != self.waypoints[-1]:
+            raise ValueError(
+                f"other_waypoints must end at the goal {self.waypoints[-1]} m, found {self.other_waypoints[-1]}"
+            )
+        return self
+
+    @cached_property
+    def demonstrator(self) -> Law:
+        """The person from either side: along the path that is nearer."""
+        paths = self.nominal_path, SmoothPath.through(self.other_waypoints)
+        return _AlongNearer(paths, tuple(self.demonstrator_on(path) for path in paths))
+
+    def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Return ``count`` poses (count, 7), each from the start region of a side drawn by its share."""
+        poses = self.draw_demonstrated_starts(rng, count)
+        other = rng.random(count) < self.other_share
+        poses[other, pose.POSITION] += np.array(self.other_waypoints[0]) - self.waypoints[0]
+        return poses
+
+    def draw_demonstrated_starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Return ``count`` poses (count, 7) of the side that is demonstrated."""
+        return super().draw_starts(rng, count)
+
+
+@dataclass(frozen=True)
+class _AlongNearer:
+    """A law of several paths to one goal: from every pose that of the path that is nearest.
+
+    Attributes:
+        paths: the paths.
+        laws: one for each.
+    """
+
+    paths: tuple[SmoothPath, ...]
+    laws: tuple[Law, ...]
+
+    @property
+    def goal(self) -> Array:
+        """The pose (7,) at the end."""
+        return self.laws[0].goal
+
+    def next_pose(self, poses: Array) -> Array:
+        """Return where the person would be after one step from poses (N, 7)."""
+        position = poses[:, pose.POSITION]
+        far = [np.linalg.norm(path.at(path.nearest(position)) - position, axis=1) for path in self.paths]
+        wished = np.array([each.next_pose(poses) for each in self.laws])
+        return np.asarray(wished[np.argmin(far, axis=0), np.arange(len(poses))])
+
+    def roll_out(self, start: Array, limit: int) -> Array:
+        """Return the poses (T, 7) of the law from a start (7,) until the goal, at most ``limit`` steps."""
+        return law.roll_out(self, start, limit)
