@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba 2015), by torch's own function and without its class, which first loads torch's compiler (1–2 s)."""
+"""Adam (Kingma & Ba 2015) by torch's own function: to make its class loads torch's compiler, which takes a second."""
 
 from collections.abc import Sequence
 from typing import Final

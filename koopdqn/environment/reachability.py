@@ -56,26 +56,28 @@ class Reachability:
     def move(self, pose: Array, joints: Array) -> Motion:
         """Return what becomes of moving the flange to a pose (7,) from joint angles (6,) [rad] in one step."""
         result = self.arm.inverse(pose, joints)
-        return self._to(result.joints, joints) if result.success else Motion(None, UNREACHABLE, result.reason)
-
-    def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
-        """Return what becomes of N motions, each by itself: to poses (N, 7) from joint angles (N, 6) [rad]."""
-        found = self.arm.inverse_batch(poses, joints)
-        none = np.isnan(found[:, 0])
-        return [
-            self.move(poses[row], joints[row]) if none[row] else self._to(found[row], joints[row])
-            for row in range(len(poses))
-        ]
-
-    def _to(self, after: Array, before: Array) -> Motion:
-        """Return what becomes of moving between joint angles (6,) [rad]."""
-        step = np.abs(after - before)
+        if not result.success:
+            return Motion(None, UNREACHABLE, result.reason)
+        step = np.abs(result.joints - joints)
         worst = int(step.argmax())
         if step[worst] > _JUMP:
             detail = f"{self.arm.joint_names[worst]} would jump by {step[worst]:.3f} rad, most {_JUMP} in a step"
             return Motion(None, JUMP, detail)
-        contact = self.scene.contact(after)
-        return Motion(None, COLLISION, contact) if contact else Motion(after)
+        return self._clear(result.joints)
+
+    def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
+        """Return what becomes of N motions, each by itself: to poses (N, 7) from joint angles (N, 6) [rad]."""
+        found = self.arm.inverse_batch(poses, joints)
+        # Not so where there is none (NaN): one by one they say why.
+        near = np.abs(found - joints).max(axis=1) <= _JUMP
+        return [
+            self._clear(found[row]) if near[row] else self.move(poses[row], joints[row]) for row in range(len(poses))
+        ]
+
+    def _clear(self, joints: Array) -> Motion:
+        """Return the motion to joint angles (6,) [rad], refused if something touches there."""
+        contact = self.scene.contact(joints)
+        return Motion(None, COLLISION, contact) if contact else Motion(joints)
 
     def durations(self, joints: Array) -> Array:
         """Return how long each step along joint angles (T, 6) [rad] takes, (T − 1,) [s]: as its slowest joint needs."""
