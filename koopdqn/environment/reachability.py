@@ -68,7 +68,7 @@ class Reachability:
     def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
         """Return what becomes of N motions, each by itself: to poses (N, 7) from joint angles (N, 6) [rad]."""
         found = self.arm.inverse_batch(poses, joints)
-        # Not so where there is none (NaN): one by one they say why.
+        # NaN is not near: what has no solution, like what jumps, is moved by itself, which says why.
         near = np.abs(found - joints).max(axis=1) <= _JUMP
         return [
             self._clear(found[row]) if near[row] else self.move(poses[row], joints[row]) for row in range(len(poses))

@@ -160,8 +160,8 @@ class URArm(Settings):
         if not (np.isfinite(poses).all() and np.isfinite(seeds).all()):
             raise ValueError("poses and seeds must be finite, found NaN or infinity")
         near = seeds.T[:, None]
-        # What is out of reach is the root or arc cosine of what has none.
-        with np.errstate(invalid="ignore"):
+        # What is out of reach has no arc cosine, and a wrist on the base axis no bearing.
+        with np.errstate(invalid="ignore", divide="ignore"):
             branches, singular = self._branches_of(poses[:, :3], normalized(poses[:, 3:]))
             branches, within = unwrapped_batch(branches, near, self.joint_lower, self.joint_upper)
             differences = np.abs(branches - near)
@@ -169,6 +169,7 @@ class URArm(Settings):
             norms = np.where(steps == steps.min(axis=0), (differences**2).sum(axis=0), np.inf)
         best, rows = norms.argmin(axis=0), np.arange(len(poses))
         joints = np.where(np.isfinite(steps[best, rows]), branches[:, best, rows], np.nan).T
+        # Rare, and another computation: there q6 follows the seed.
         for row in np.flatnonzero(singular):
             found = self.inverse(poses[row], seeds[row])
             joints[row] = found.joints if found.success else np.nan
