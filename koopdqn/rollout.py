@@ -54,32 +54,24 @@ def roll_out(
     unchanged: a controller without memory would choose it for ever.
     """
     runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
-    active = list(range(len(runs)))
     for _ in range(limit):
+        active = [i for i, run in enumerate(runs) if not run.outcome]
         if not active:
             break
         poses = np.array([runs[i].poses[-1] for i in active])
         actions = controller(poses, starts[active])
         reached = reached_poses(poses, task)[np.arange(len(active)), actions]
-        broken = task.rule_broken(reached)
-        at_goal = task.reached(reached)
-        for row, i in enumerate(active):
-            runs[i].step(reached[row], reachability, bool(broken[row]), bool(at_goal[row]))
-        active = [i for i in active if not runs[i].outcome]
+        _advance([runs[i] for i in active], reached, task, reachability)
     return [run.finished() for run in runs]
 
 
 def follow(paths: list[Array], task: Task, reachability: Reachability, joints: Array) -> list[Episode]:
     """Return the episodes of following given paths (T, 7), each begun with its joints (6,), to end or failure."""
-    runs = []
-    for path, angles in zip(paths, joints, strict=True):
-        run = _Run([path[0]], [angles])
-        broken, at_goal = task.rule_broken(path), task.reached(path)
-        for t in range(1, len(path)):
-            run.step(path[t], reachability, bool(broken[t]), bool(at_goal[t]))
-            if run.outcome:
-                break
-        runs.append(run)
+    runs = [_Run([path[0]], [angles]) for path, angles in zip(paths, joints, strict=True)]
+    for t in range(1, max(map(len, paths), default=0)):
+        active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
+        if active:
+            _advance([runs[i] for i in active], np.array([paths[i][t] for i in active]), task, reachability)
     return [run.finished() for run in runs]
 
 
@@ -90,22 +82,20 @@ class _Run:
     outcome: str = ""
     detail: str = ""
 
-    def step(self, reached: Array, reachability: Reachability, rule_broken: bool, at_goal: bool) -> None:
-        motion = reachability.move(reached, self.joints[-1])
-        if motion.joints is None:
-            self.outcome, self.detail = motion.reason, motion.detail
-            return
-        stuck = not pose.position_distance(reached, self.poses[-1]) and not pose.rotation_distance(
-            reached, self.poses[-1]
-        )
-        self.poses.append(reached)
-        self.joints.append(motion.joints)
-        if rule_broken:
-            self.outcome = RULE_BROKEN
-        elif at_goal:
-            self.outcome = SUCCESS
-        elif stuck:
-            self.outcome = STUCK
-
     def finished(self) -> Episode:
         return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail)
+
+
+def _advance(runs: list[_Run], reached: Array, task: Task, reachability: Reachability) -> None:
+    """Take runs one step on, each to its pose of those reached (N, 7), and end those that this ends."""
+    motions = reachability.move_batch(reached, np.array([run.joints[-1] for run in runs]))
+    before = np.array([run.poses[-1] for run in runs])
+    stuck = (pose.position_distance(reached, before) == 0) & (pose.rotation_distance(reached, before) == 0)
+    ends = np.select([task.rule_broken(reached), task.reached(reached), stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
+    for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):
+        if motion.joints is None:
+            run.outcome, run.detail = motion.reason, motion.detail
+            continue
+        run.poses.append(target)
+        run.joints.append(motion.joints)
+        run.outcome = end

@@ -71,6 +71,9 @@ def kinematics_rows(arm: Arm, poses: np.ndarray, joints: np.ndarray) -> list[Row
         for pose, seed in zip(poses, seeds, strict=True):
             arm.inverse(pose, seed)
 
+    def together() -> None:
+        arm.inverse_batch(poses, seeds)
+
     physics = mjcf.Physics.from_xml_string(asset_path(arm.asset).read_text(encoding="utf-8"))
 
     def peer() -> None:
@@ -78,9 +81,11 @@ def kinematics_rows(arm: Arm, poses: np.ndarray, joints: np.ndarray) -> list[Row
             physics.data.qpos[:] = seed
             qpos_from_site_pose(physics, arm.flange_site, pose[:3], pose[3:], inplace=True, tol=1e-9)
 
-    mine, other = median_seconds(ours) / len(poses), median_seconds(peer, 3) / len(poses)
+    mine, batched = median_seconds(ours) / len(poses), median_seconds(together) / len(poses)
+    other = median_seconds(peer, 3) / len(poses)
     return [
         Row("inverse kinematics, closed form", f"{mine * 1e6:.1f} µs", "a call, along a path of 2 mm steps"),
+        Row("the same, all at once", f"{batched * 1e6:.1f} µs", f"a pose, of {len(poses)}"),
         Row("the same by dm_control's qpos_from_site_pose", f"{other * 1e6:.1f} µs", f"{other / mine:.1f} times ours"),
     ]
 
@@ -105,11 +110,15 @@ def learning_rows(config: Configuration) -> list[Row]:
     batch = states[np.random.default_rng(0).integers(len(states), size=agent.episodes_at_once)]
     item = demonstrations.items[0]
     assert item.joints is not None
-    pairs = list(zip(item.poses, item.joints, strict=True))
+    rows = np.arange(agent.episodes_at_once) % len(item.poses)
+    targets, angles = item.poses[rows], item.joints[rows]
 
-    def moves() -> None:
-        for pose, joints in pairs:
+    def move_alone() -> None:
+        for pose, joints in zip(targets, angles, strict=True):
             workcell.reachability.move(pose, joints)
+
+    def move_together() -> None:
+        workcell.reachability.move_batch(targets, angles)
 
     rng = np.random.default_rng(0)
     torch.set_num_threads(1)
@@ -134,8 +143,13 @@ def learning_rows(config: Configuration) -> list[Row]:
         ),
         Row(
             "one step of the arm",
-            f"{median_seconds(moves) / len(pairs) * 1e6:.1f} µs",
+            f"{median_seconds(move_alone) / len(rows) * 1e6:.1f} µs",
             "inverse kinematics and collisions",
+        ),
+        Row(
+            "the same in all episodes at once",
+            f"{median_seconds(move_together) / len(rows) * 1e6:.1f} µs",
+            f"a step, of {len(rows)}",
         ),
         Row(
             "judging all ten actions",

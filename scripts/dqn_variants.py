@@ -34,9 +34,9 @@ class DuelingNetwork(QNetwork):
         super().__init__(inputs, settings, rng)
         self.value = linear(settings.hidden[-1], 1, rng)
 
-    def forward(self, observations: Tensor) -> Tensor:
-        """Return the values Q (N, 10) of observations (N, inputs)."""
-        hidden = self.layers[:-1](self.features(observations))
+    def of_features(self, features: Tensor) -> Tensor:
+        """Return the values Q (N, 10) of features (N, inputs + features)."""
+        hidden = self.layers[:-1](features)
         advantages = self.layers[-1](hidden)
         return cast(Tensor, self.value(hidden) + advantages - advantages.mean(dim=1, keepdim=True))
 

@@ -3,6 +3,7 @@ import pytest
 import torch
 from parts import Parts
 
+from koopdqn.dqn.adam import Adam
 from koopdqn.dqn.learner import Learner, load_arrays, q_targets
 from koopdqn.dqn.network import QNetwork
 from koopdqn.dqn.replay import FIELDS, Transitions
@@ -185,6 +186,18 @@ def test_value_flows_back_from_a_later_reward(agent: AgentSettings) -> None:
             )
         )
     np.testing.assert_allclose(made.online.values(states[:3]).max(axis=1), [0.25, 0.5, 1.0], atol=0.1)
+
+
+def test_adam_is_torchs_own() -> None:
+    ours, theirs = (torch.ones(3, 2, requires_grad=True) for _ in range(2))
+    mine, other = Adam([ours], 0.01), torch.optim.Adam([theirs], lr=0.01)
+    for _ in range(10):
+        mine.step(torch.autograd.grad((ours**3 - ours).sum(), [ours]))
+        other.zero_grad()
+        (theirs**3 - theirs).sum().backward()  # type: ignore[no-untyped-call]
+        other.step()
+    assert torch.equal(ours, theirs)
+    assert not torch.equal(ours, torch.ones(3, 2))
 
 
 def test_a_restored_learner_goes_on_bit_for_bit(agent: AgentSettings) -> None:

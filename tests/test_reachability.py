@@ -45,6 +45,23 @@ def test_what_cannot_be_done_is_refused_with_its_reason(workcell: Workcell) -> N
     assert task.nominal_start is start
 
 
+def test_a_batch_of_motions_is_each_by_itself(workcell: Workcell) -> None:
+    start = workcell.task.nominal_start
+    joints = entered(workcell, start)
+    aside, back = start[:3] + np.array([[0.0, 0.002, 0.0], [-0.002, 0.0, 0.0]])
+    targets = pose.make([aside, [3.0, 0, 0.4], [0.23, -0.2, 0.4], back, [0.56, -0.03, 0.47]], start[3:])
+    wall = workcell.arm.inverse(targets[-1], joints).joints
+    seeds = np.array([joints] * 4 + [wall])
+    together = workcell.reachability.move_batch(targets, seeds)
+    assert [motion.reason for motion in together] == ["", UNREACHABLE, JUMP, "", COLLISION]
+    for motion, target, seed in zip(together, targets, seeds, strict=True):
+        alone = workcell.reachability.move(target, seed)
+        assert (motion.reason, motion.detail) == (alone.reason, alone.detail)
+        if alone.joints is not None:
+            np.testing.assert_allclose(motion.joints, alone.joints, atol=1e-9)
+    assert workcell.reachability.move_batch(np.zeros((0, 7)), np.zeros((0, 6))) == []
+
+
 def test_a_step_takes_as_long_as_its_slowest_joint_needs(workcell: Workcell) -> None:
     start = workcell.task.nominal_start
     wished = start.copy()

@@ -55,7 +55,7 @@ def test_steps_do_not_follow_the_noise() -> None:
     """Neighbouring steps of a smooth arc turn by little; those along a noisy recording zigzag."""
 
     def largest_bend(poses: np.ndarray) -> float:
-        steps = np.diff(to_step(poses, 0.0021, 0.05)[:-1, :3], axis=0)
+        steps = np.diff(to_step([poses], 0.0021, 0.05)[0][:-1, :3], axis=0)
         steps /= np.linalg.norm(steps, axis=1, keepdims=True)
         return float(np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(axis=1), -1, 1))).max())
 

@@ -35,7 +35,7 @@ def recordings(draw: st.DrawFn) -> Array:
 @settings(max_examples=30)
 @given(recordings())
 def test_every_gap_but_the_last_is_a_step_or_a_turn(recorded: Array) -> None:
-    resampled = to_step(recorded, STEP, TURN)
+    resampled = to_step([recorded], STEP, TURN)[0]
     distances = gaps(resampled)
     np.testing.assert_allclose(distances[:-1], 1.0, atol=1e-6)
     assert np.all(distances[-1:] <= 1 + 1e-6)
@@ -44,7 +44,7 @@ def test_every_gap_but_the_last_is_a_step_or_a_turn(recorded: Array) -> None:
 @settings(max_examples=30)
 @given(recordings())
 def test_both_ends_are_kept(recorded: Array) -> None:
-    resampled = to_step(recorded, STEP, TURN)
+    resampled = to_step([recorded], STEP, TURN)[0]
     np.testing.assert_array_equal(resampled[0], recorded[0])
     assert pose.position_distance(resampled[-1], recorded[-1]) <= 1e-6 * STEP + 1e-15
     assert pose.rotation_distance(resampled[-1], recorded[-1]) <= 1e-6 * TURN + 1e-15
@@ -53,14 +53,21 @@ def test_both_ends_are_kept(recorded: Array) -> None:
 @settings(max_examples=30)
 @given(recordings())
 def test_resampling_anew_changes_nothing(recorded: Array) -> None:
-    once = to_step(recorded, STEP, TURN)
-    np.testing.assert_allclose(to_step(once, STEP, TURN)[: len(once) - 1], once[:-1], atol=1e-6)
+    once = to_step([recorded], STEP, TURN)[0]
+    np.testing.assert_allclose(to_step([once], STEP, TURN)[0][: len(once) - 1], once[:-1], atol=1e-6)
+
+
+@given(recordings())
+def test_trajectories_do_not_depend_on_which_others_are_resampled_beside_them(recorded: Array) -> None:
+    others = [recorded, recorded[::-1], recorded[: len(recorded) // 2 + 1]]
+    for rows, resampled in zip(others, to_step(others, STEP, TURN), strict=True):
+        np.testing.assert_array_equal(resampled, to_step([rows], STEP, TURN)[0])
 
 
 def test_turning_in_place_survives_and_idling_vanishes() -> None:
     turning = pose.make(np.zeros((11, 3)), pose.from_rotation_vector(np.outer(np.linspace(0, 1, 11), [0, 0, 1.0])))
     idle = np.repeat(turning[:1], 30, axis=0)
-    resampled = to_step(np.concatenate([idle, turning, np.repeat(turning[-1:], 30, axis=0)]), STEP, TURN)
+    resampled = to_step([np.concatenate([idle, turning, np.repeat(turning[-1:], 30, axis=0)])], STEP, TURN)[0]
     assert len(resampled) == 21
     np.testing.assert_allclose(pose.rotation_distance(resampled[1:], resampled[:-1]), TURN, atol=1e-9)
 
@@ -69,14 +76,14 @@ def test_whichever_comes_first_takes_the_sample() -> None:
     """A metre a radian: ten steps of 2.1 mm turn 21 mrad; at 5 mrad a turn there are four samples on the way."""
     share = np.linspace(0, 1, 5)[:, None]
     both = pose.make(share * [0.021, 0, 0], pose.from_rotation_vector(share * [0.021, 0, 0]))
-    assert len(to_step(both, 0.0021, 1.0)) == 11
-    assert len(to_step(both, 1.0, 0.0042)) == 6
-    np.testing.assert_allclose(to_step(both, 0.0021, 0.0042)[:, 0], np.arange(11) * 0.0021, atol=1e-9)
+    assert len(to_step([both], 0.0021, 1.0)[0]) == 11
+    assert len(to_step([both], 1.0, 0.0042)[0]) == 6
+    np.testing.assert_allclose(to_step([both], 0.0021, 0.0042)[0][:, 0], np.arange(11) * 0.0021, atol=1e-9)
 
 
 def test_samples_lie_on_the_recorded_path() -> None:
     corner = pose.make([[0.0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0]], [1.0, 0, 0, 0])
-    resampled = to_step(corner, STEP, TURN)[:, :3]
+    resampled = to_step([corner], STEP, TURN)[0][:, :3]
     on_first = (np.abs(resampled[:, 1]) < 1e-12) & (resampled[:, 0] <= 0.01 + 1e-12)
     on_second = np.abs(resampled[:, 0] - 0.01) < 1e-12
     assert np.all(on_first | on_second)

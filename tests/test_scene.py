@@ -25,6 +25,15 @@ def test_mujoco_and_the_closed_form_agree_where_the_flange_is(workcell: Workcell
         assert pose.rotation_distance(seen, computed) < 1e-9
 
 
+def test_mujoco_finds_the_flange_where_a_batch_of_inverses_was_to_bring_it(workcell: Workcell, arm: URArm) -> None:
+    rng = np.random.default_rng(1)
+    targets = arm.forward(rng.uniform(-2 * np.pi, 2 * np.pi, (200, 6)))
+    for joints, target in zip(arm.inverse_batch(targets, rng.uniform(-6.0, 6.0, (200, 6))), targets, strict=True):
+        seen = workcell.scene.flange_pose(joints)
+        assert pose.position_distance(seen, target) < 1e-9
+        assert pose.rotation_distance(seen, target) < 1e-9
+
+
 def test_a_question_does_not_depend_on_the_one_before(workcell: Workcell, arm: URArm) -> None:
     first, second = np.array(arm.home), np.array(arm.home) + 0.3
     before = workcell.scene.flange_pose(first)

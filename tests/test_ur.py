@@ -169,6 +169,57 @@ def test_solutions_are_all_branches_nearest_first_and_inverse_takes_the_nearest(
     assert counts <= {2, 4, 6, 8}
 
 
+def assert_same_branch(found: Array, alone: Array, seed: Array) -> None:
+    """The same largest step and distance from the seed: branches may tie, and rounding then decides."""
+    apart = [np.abs(joints - seed) for joints in (found, alone)]
+    assert apart[0].max() == pytest.approx(apart[1].max(), abs=1e-6)
+    assert np.linalg.norm(apart[0]) == pytest.approx(np.linalg.norm(apart[1]), abs=1e-6)
+
+
+@given(rows=st.lists(st.tuples(joint_vectors, joint_vectors, st.booleans()), min_size=1, max_size=6))
+def test_a_batch_is_solved_as_each_pose_alone(rows: list[tuple[Array, Array, bool]]) -> None:
+    seeds = np.array([seed for _, seed, _ in rows])
+    targets = np.array([ARM.forward(joints) + 2.0 * away * np.eye(7)[0] for joints, _, away in rows])
+    for found, target, seed in zip(ARM.inverse_batch(targets, seeds), targets, seeds, strict=True):
+        alone = ARM.inverse(target, seed)
+        assert np.isnan(found).all() == np.isnan(found).any() == (not alone.success)
+        if alone.success:
+            assert_reaches(found, target, 2.5e-7)
+            assert_same_branch(found, alone.joints, seed)
+
+
+def test_a_batch_away_from_singularities_has_the_joints_of_each_pose_alone() -> None:
+    seeds = random_joints(8, 2000)
+    targets = ARM.forward(seeds + np.random.default_rng(9).uniform(-0.01, 0.01, seeds.shape))
+    alone = [ARM.inverse(*each) for each in zip(targets, seeds, strict=True)]
+    for found, result in zip(ARM.inverse_batch(targets, seeds), alone, strict=True):
+        np.testing.assert_allclose(found, result.joints, atol=1e-9, rtol=0)
+
+
+def test_a_batch_keeps_narrow_limits() -> None:
+    arm = with_fields(joint_lower=(HOME - 0.5).tolist(), joint_upper=(HOME + 0.5).tolist())
+    targets = ARM.forward(HOME + np.random.default_rng(10).uniform(-0.8, 0.8, (300, 6)))
+    seeds = np.tile(HOME, (300, 1))
+    found, within = arm.inverse_batch(targets, seeds), [arm.inverse(target, HOME).success for target in targets]
+    assert 0 < sum(within) < len(within)
+    np.testing.assert_array_equal(~np.isnan(found[:, 0]), within)
+    assert np.all((np.abs(found - HOME) <= 0.5) | np.isnan(found))
+
+
+@pytest.mark.parametrize(
+    ("targets", "seeds", "message"),
+    [
+        (np.zeros(7), np.zeros((1, 6)), r"shapes \(N, 7\) and \(N, 6\), found \(7,\), \(1, 6\)"),
+        (np.zeros((2, 7)), np.zeros((1, 6)), r"found \(2, 7\), \(1, 6\)"),
+        (np.zeros((1, 7)), np.zeros((1, 6)), "longer than 1e-12"),
+        (np.full((1, 7), np.nan), np.zeros((1, 6)), "must be finite"),
+    ],
+)
+def test_what_is_no_batch_is_refused(targets: Array, seeds: Array, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ARM.inverse_batch(targets, seeds)
+
+
 def test_solutions_without_a_seed_lie_nearest_home() -> None:
     pose = ARM.forward(HOME)
     np.testing.assert_allclose(ARM.solutions(pose)[0], HOME, atol=1e-9)

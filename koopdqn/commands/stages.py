@@ -70,12 +70,12 @@ def held_out_of(config: Configuration) -> list[Array] | None:
 
 def _check_reach(config: Configuration, demonstrations: Demonstrations) -> None:
     for index, poses in enumerate(agent_steps(demonstrations, config.task)):
-        for pose in poses:
-            if not len(config.robot.solutions(pose)):
-                raise BadInputError(
-                    f"demos: demonstration {index} must stay within the arm's reach, found"
-                    f" {np.round(pose[POSITION], 3).tolist()} m"
-                )
+        lost = np.isnan(config.robot.inverse_batch(poses, np.tile(config.robot.home, (len(poses), 1)))).any(axis=1)
+        if lost.any():
+            raise BadInputError(
+                f"demos: demonstration {index} must stay within the arm's reach, found"
+                f" {np.round(poses[lost.argmax(), POSITION], 3).tolist()} m"
+            )
 
 
 def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demonstrations, dict[str, int]]:

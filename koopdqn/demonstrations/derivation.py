@@ -120,7 +120,7 @@ class Derivation(TaskChoice):
     def _task(self, training: Demonstrations, goal: Array, turning: Turning, kept: int) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
         turn = TURNS_PER_STEP * self.rotation_tolerance_rad
-        trajectories = [to_step(item.poses, step, turn) for item in training.items]
+        trajectories = to_step([item.poses for item in training.items], step, turn)
         starts = np.array([trajectory[0] for trajectory in trajectories])
         way = pose.position_distance(starts, goal)
         if way.min() < _LEAST_WAY * self.goal_tolerance_m:

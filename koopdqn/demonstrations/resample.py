@@ -1,55 +1,68 @@
 """Resampling a demonstration to the agent's step, or to a number of samples."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.path import arc_lengths, at_arc_lengths
 
 
-def to_step(poses: Array, step: float, turn: float) -> Array:
-    """Return poses (M, 7) resampled so that neighbours are one agent's step apart.
+def to_step(trajectories: Sequence[Array], step: float, turn: float) -> list[Array]:
+    """Return trajectories of poses (M, 7) resampled so that neighbours are one agent's step apart.
 
     A new sample is taken when position has moved ``step`` [m] or rotation ``turn`` [rad] since the
     last, whichever is first, so that turning in place survives while idling and pauses vanish.
-    The last pose of (N, 7) is always kept.
+    The last pose of each of the trajectories (N, 7) is always kept. All are walked along side by side.
     """
-    kept = [poses[0]]
-    last = poses[0]
-    previous = poses[0]
-    for current in poses[1:]:
-        # Several samples may fit between two recorded poses.
-        while True:
-            moved = float(pose.position_distance(current, last)) / step
-            turned = float(pose.rotation_distance(current, last)) / turn
-            if max(moved, turned) < 1.0:
-                break
-            last = _crossing(previous, current, last, step, turn)
-            previous = last
-            kept.append(last)
-        previous = current
-    # A stump much shorter than a step would teach the model to slow down at the end.
-    if max(pose.position_distance(poses[-1], last) / step, pose.rotation_distance(poses[-1], last) / turn) > 1e-6:
-        kept.append(poses[-1])
-    return np.array(kept)
+    kept = [[rows[0]] for rows in trajectories]
+    last = np.array([rows[0] for rows in trajectories])
+    previous = last.copy()
+    ends, place = np.array([len(rows) for rows in trajectories]), np.ones(len(trajectories), dtype=np.int64)
+    while (under_way := np.flatnonzero(place < ends)).size:
+        current = np.array([trajectories[i][place[i]] for i in under_way.tolist()])
+        moved = pose.position_distance(current, last[under_way])
+        turned = pose.rotation_distance(current, last[under_way])
+        beyond = np.maximum(moved / step, turned / turn) >= 1.0
+        # Several samples may fit between two recorded poses: where one is taken, the recorded pose stays the next.
+        taken, passed = under_way[beyond], under_way[~beyond]
+        previous[passed] = current[~beyond]
+        place[passed] += 1
+        if taken.size:
+            distances = moved[beyond], turned[beyond]
+            last[taken] = previous[taken] = _crossing(
+                previous[taken], current[beyond], last[taken], *distances, step, turn
+            )
+            for i in taken.tolist():
+                kept[i].append(last[i].copy())
+    for rows, samples in zip(trajectories, kept, strict=True):
+        # A stump much shorter than a step would teach the model to slow down at the end.
+        moved, turned = pose.position_distance(rows[-1], samples[-1]), pose.rotation_distance(rows[-1], samples[-1])
+        if max(moved / step, turned / turn) > 1e-6:
+            samples.append(rows[-1])
+    return [np.array(samples) for samples in kept]
 
 
-def _crossing(before: Array, after: Array, last: Array, step: float, turn: float) -> Array:
-    """Return the pose (7,) between two at which position first is a step, or rotation a turn, away from ``last``."""
-    share = 1.0
-    if pose.position_distance(after, last) >= step:
-        share = _sphere_crossing(
-            before[pose.POSITION] - last[pose.POSITION], after[pose.POSITION] - before[pose.POSITION], step
-        )
-    if pose.rotation_distance(after, last) >= turn:
-        low, high = 0.0, 1.0
+def _crossing(before: Array, after: Array, last: Array, moved: Array, turned: Array, step: float, turn: float) -> Array:
+    """Return the poses (N, 7) between two at which position first is a step, or rotation a turn, away from ``last``.
+
+    The poses ``after`` have ``moved`` (N,) [m] and ``turned`` (N,) [rad] from ``last``, one of them at least that far.
+    """
+    share = np.ones(len(before))
+    for row in np.flatnonzero(moved >= step):
+        offset, motion = (a[row, pose.POSITION] - b[row, pose.POSITION] for a, b in ((before, last), (after, before)))
+        share[row] = _sphere_crossing(offset, motion, step)
+    turning = np.flatnonzero(turned >= turn)
+    if turning.size:
+        low, high = np.zeros(len(turning)), np.ones(len(turning))
         for _ in range(40):
             middle = 0.5 * (low + high)
-            if pose.rotation_distance(between(before, after, middle), last) < turn:
-                low = middle
-            else:
-                high = middle
-        share = min(share, high)
+            there = between(before[turning], after[turning], middle)
+            short = pose.rotation_distance(there, last[turning]) < turn
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        share[turning] = np.minimum(share[turning], high)
     return between(before, after, share)
 
 
@@ -59,11 +72,15 @@ def _sphere_crossing(offset: Array, motion: Array, radius: float) -> float:
     return float(np.clip((-b + np.sqrt(max(b * b - a * c, 0.0))) / a, 0.0, 1.0))
 
 
-def between(a: Array, b: Array, share: float) -> Array:
-    """Return the pose (7,) a ``share`` of the way from ``a`` to ``b``: straight in position, geodesic in rotation."""
-    position = a[pose.POSITION] + share * (b[pose.POSITION] - a[pose.POSITION])
-    angle = share * float(pose.rotation_distance(a, b))
-    return pose.make(position, pose.turned_toward(a[pose.QUATERNION], b[pose.QUATERNION], angle))
+def between(a: Array, b: Array, share: ArrayLike) -> Array:
+    """Return the poses (..., 7) a ``share`` (...) of the way from ``a`` (..., 7) to ``b`` (..., 7).
+
+    Straight in position, geodesic in rotation.
+    """
+    part = np.asarray(share, dtype=float)
+    position = a[..., pose.POSITION] + part[..., None] * (b[..., pose.POSITION] - a[..., pose.POSITION])
+    angle = part * pose.rotation_distance(a, b)
+    return pose.make(position, pose.turned_toward(a[..., pose.QUATERNION], b[..., pose.QUATERNION], angle))
 
 
 def mean_poses(trajectories: list[Array], count: int) -> Array:

@@ -5,6 +5,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from koopdqn.dqn.adam import Adam
 from koopdqn.dqn.network import QNetwork
 from koopdqn.dqn.replay import Transitions
 from koopdqn.dqn.settings import AgentSettings
@@ -60,7 +61,7 @@ class Learner:
         self.updates = 0
         self._parameters: list[Tensor] = list(self.online.parameters())
         self._target_parameters: list[Tensor] = list(self.target.parameters())
-        self._optimizer = torch.optim.Adam(self._parameters, lr=settings.learning_rate)
+        self._adam = Adam(self._parameters, settings.learning_rate)
 
     def normalise_to(self, observations: np.ndarray) -> None:
         """Take mean and spread of the inputs of both networks from observations (N, inputs)."""
@@ -75,10 +76,11 @@ class Learner:
         stop = batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone
         # Most actions from a state are wrong and followed by nothing.
         follows = np.flatnonzero(~stop)
-        following = torch.from_numpy(batch.following[follows])
         online, target = torch.zeros(2, len(stop), COUNT)
         with torch.no_grad():
-            online[follows], target[follows] = self.online(following), self.target(following)
+            # Features are not learned: both networks have the same.
+            features = self.online.features(torch.from_numpy(batch.following[follows]))
+            online[follows], target[follows] = self.online.of_features(features), self.target.of_features(features)
             targets = q_targets(
                 torch.from_numpy(batch.rewards),
                 torch.from_numpy(stop),
@@ -90,9 +92,7 @@ class Learner:
         states, state_of = _distinct(batch.observations)
         values = self.online(torch.from_numpy(states))
         loss = nn.functional.mse_loss(values[state_of, batch.actions], targets)
-        self._optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
-        self._optimizer.step()
+        self._adam.step(torch.autograd.grad(loss, self._parameters))
         self.updates += 1
         if self.updates % self.settings.target_every == 0:
             with torch.no_grad():
@@ -112,20 +112,14 @@ class Learner:
         """Return everything the learner needs to go on, as arrays."""
         state = {f"online.{name}": values for name, values in _arrays_of(self.online).items()}
         state |= {f"target.{name}": values for name, values in _arrays_of(self.target).items()}
-        for index, moments in self._optimizer.state_dict()["state"].items():
-            state |= {f"adam.{index}.{name}": values.numpy().copy() for name, values in moments.items()}
+        state |= {f"adam.{name}": values for name, values in self._adam.state().items()}
         return {**state, "updates": np.array(self.updates)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go on from what :meth:`state` returned."""
         load_arrays(self.online, _below(state, "online."))
         load_arrays(self.target, _below(state, "target."))
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, values in _below(state, "adam.").items():
-            index, key = name.split(".")
-            moments.setdefault(int(index), {})[key] = torch.from_numpy(values.copy())
-        groups = self._optimizer.state_dict()["param_groups"]
-        self._optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        self._adam.restore(_below(state, "adam."))
         self.updates = int(state["updates"])
 
 

@@ -55,7 +55,11 @@ class QNetwork(nn.Module):
 
     def forward(self, observations: Tensor) -> Tensor:
         """Return the values Q (N, 10) of observations (N, inputs)."""
-        return cast(Tensor, self.layers(self.features(observations)))
+        return self.of_features(self.features(observations))
+
+    def of_features(self, features: Tensor) -> Tensor:
+        """Return the values Q (N, 10) of what :meth:`features` makes of observations (N, inputs + features)."""
+        return cast(Tensor, self.layers(features))
 
     def features(self, observations: Tensor) -> Tensor:
         """Return what the first layer sees (N, inputs + features) of observations (N, inputs)."""
@@ -77,7 +81,9 @@ def _drawn(values: NDArray[np.float64]) -> Tensor:
 
 def linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
     """Return a layer whose weights (He et al. 2015) come from ``rng``, not from global random state."""
-    layer = nn.Linear(inputs, outputs, device="meta").to_empty(device="cpu")
+    # torch draws weights of its own first; its global random state stays as it was.
+    with torch.random.fork_rng(devices=()):
+        layer = nn.Linear(inputs, outputs)
     with torch.no_grad():
         layer.weight.copy_(_drawn(rng.normal(scale=np.sqrt(2.0 / inputs), size=(outputs, inputs))))
         layer.bias.zero_()

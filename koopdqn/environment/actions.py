@@ -45,9 +45,10 @@ def reached_poses(poses: Array, task: Task) -> Array:
     for action in _TO_GOAL:
         reached[:, action, pose.POSITION] = toward
     turned_away = np.any(pose.rotation_distance(poses, task.goal) > 0)
-    for action, turns in _TURN.items() if turned_away else ():
-        angle = np.full(len(poses), turns * task.rotation_tolerance_rad)
-        reached[:, action, pose.QUATERNION] = pose.turned_toward(quaternion, task.goal[pose.QUATERNION], angle)
+    if turned_away:
+        angles = np.array(list(_TURN.values()))[:, None] * task.rotation_tolerance_rad
+        turned = pose.turned_toward(quaternion, task.goal[pose.QUATERNION], angles)
+        reached[:, list(_TURN), pose.QUATERNION] = turned.swapaxes(0, 1)
     for axis in range(3):
         reached[:, _FIRST_AXIS + 2 * axis, axis] += task.step_m
         reached[:, _FIRST_AXIS + 2 * axis + 1, axis] -= task.step_m

@@ -63,10 +63,21 @@ class Reachability:
         if step[worst] > _JUMP:
             detail = f"{self.arm.joint_names[worst]} would jump by {step[worst]:.3f} rad, most {_JUMP} in a step"
             return Motion(None, JUMP, detail)
-        contact = self.scene.contact(result.joints)
-        if contact:
-            return Motion(None, COLLISION, contact)
-        return Motion(result.joints)
+        return self._clear(result.joints)
+
+    def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
+        """Return what becomes of N motions, each by itself: to poses (N, 7) from joint angles (N, 6) [rad]."""
+        found = self.arm.inverse_batch(poses, joints)
+        # NaN is not near: what has no solution, like what jumps, is moved by itself, which says why.
+        near = np.abs(found - joints).max(axis=1) <= _JUMP
+        return [
+            self._clear(found[row]) if near[row] else self.move(poses[row], joints[row]) for row in range(len(poses))
+        ]
+
+    def _clear(self, joints: Array) -> Motion:
+        """Return the motion to joint angles (6,) [rad], refused if something touches there."""
+        contact = self.scene.contact(joints)
+        return Motion(None, COLLISION, contact) if contact else Motion(joints)
 
     def durations(self, joints: Array) -> Array:
         """Return how long each step along joint angles (T, 6) [rad] takes, (T − 1,) [s]: as its slowest joint needs."""

@@ -132,7 +132,7 @@ class Sqil:
         greedy = self.learner.online.values(observations).argmax(axis=1)
         actions = np.where(explore, self._explore.integers(COUNT, size=count), greedy)
         reached = reached_poses(before, task)[np.arange(count), actions]
-        motions = [self._workcell.reachability.move(*each) for each in zip(reached, batch.joints, strict=True)]
+        motions = self._workcell.reachability.move_batch(reached, batch.joints)
         moved = np.array([motion.joints is not None for motion in motions])
         after = np.where(moved[:, None], reached, before)
         arrived = moved & task.reached(after)

@@ -53,7 +53,7 @@ class Fitted:
 def agent_steps(demonstrations: Demonstrations, task: Task) -> list[Array]:
     """Return the demonstrations' poses (N, 7), each resampled to the agent's step."""
     turn = TURNS_PER_STEP * task.rotation_tolerance_rad
-    return [to_step(item.poses, task.step_m, turn) for item in demonstrations.items]
+    return to_step([item.poses for item in demonstrations.items], task.step_m, turn)
 
 
 def fit(

@@ -110,17 +110,18 @@ class RandomFourier(Observables):
         return self
 
     @cached_property
-    def _draw(self) -> tuple[Array, Array]:
+    def _draw(self) -> tuple[Array, Array, Array]:
         rng = np.random.default_rng([self.seed, self.count])
         share = (np.arange(self.count) + 0.5) / self.count
         narrowest, widest = self.length_scales
         scales = narrowest * (widest / narrowest) ** share
-        return rng.normal(size=(3, self.count)) / scales, rng.uniform(0, 2 * np.pi, self.count)
+        frequencies, phases = rng.normal(size=(3, self.count)) / scales, rng.uniform(0, 2 * np.pi, self.count)
+        return frequencies, phases, np.cos(phases)
 
     def features(self, states: Array) -> Array:
         """Return the features (N, F) of states (N, 3)."""
-        frequencies, phases = self._draw
-        waves = np.cos(states @ frequencies + phases) - np.cos(phases)
+        frequencies, phases, at_goal = self._draw
+        waves = np.cos(states @ frequencies + phases) - at_goal
         return np.asarray(np.sqrt(2.0 / self.count) * waves)
 
 

@@ -62,13 +62,16 @@ class WholePoseSettings(IntentSettings):
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
         """Return the model fitted to pose trajectories (N, 7)."""
-        positions = np.concatenate(trajectories)[:, pose.POSITION]
-        spread = float(np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        pairs = self._pairs(trajectories, spread, task)
-        before, after = (_state(poses, task.goal, spread) for poses in pairs)
+        before, after, spread = self._states(trajectories, task)
         koopman = KoopmanModel.fit(self._observables, before, after, np.zeros(12), 1.0, self.ridge)
-        held = task.orientation == "held"
-        return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal)
+        return self._model(koopman, spread, task)
+
+    def alternatives(self, trajectories: list[Array], task: Task) -> dict[float, IntentModel]:
+        """Return the model of the one ridge, whose K holds the state's own rows only."""
+        before, after, spread = self._states(trajectories, task)
+        rows = (np.zeros(12), 1.0, self.ridges, np.ones(len(before)))
+        (koopman,) = KoopmanModel.one_step(self._observables, before, after, *rows)
+        return {self.ridge: self._model(koopman, spread, task)}
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model whose arrays these are."""
@@ -81,6 +84,17 @@ class WholePoseSettings(IntentSettings):
     def _observables(self) -> FeaturesOfPlace:
         fourier = RandomFourier(count=self.count, length_scales=self.length_scales, seed=self.seed)
         return FeaturesOfPlace(fourier=fourier)
+
+    def _states(self, trajectories: list[Array], task: Task) -> tuple[Array, Array, float]:
+        """Return the states (M, 12) to fit to, their successors (M, 12) and the spread of the places [m]."""
+        positions = np.concatenate(trajectories)[:, pose.POSITION]
+        spread = float(np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        before, after = (_state(poses, task.goal, spread) for poses in self._pairs(trajectories, spread, task))
+        return before, after, spread
+
+    def _model(self, koopman: KoopmanModel, spread: float, task: Task) -> IntentModel:
+        held = task.orientation == "held"
+        return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal)
 
     def _pairs(self, trajectories: list[Array], spread: float, task: Task) -> tuple[Array, Array]:
         """Return states (M, 7) of the mean demonstration and around it, and where they lead a step later (M, 7).

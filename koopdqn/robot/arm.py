@@ -78,6 +78,12 @@ class Arm(Protocol):
     def inverse(self, pose: ArrayLike, seed: ArrayLike) -> InverseResult:
         """Return the joint angles nearest ``seed`` (6,) [rad] that bring the flange to ``pose`` (7,)."""
 
+    def inverse_batch(self, poses: ArrayLike, seeds: ArrayLike) -> Array:
+        """Return the joint angles (N, 6) that :meth:`inverse` finds for poses (N, 7) from seeds (N, 6).
+
+        Rows are NaN where it has no success.
+        """
+
     def solutions(self, pose: ArrayLike, seed: ArrayLike | None = None) -> Array:
         """Return all solutions (k, 6) [rad] for ``pose`` (7,), unwrapped to lie nearest ``seed`` (home if None).
 

@@ -1,10 +1,13 @@
 """Poses and joint vectors as plain numbers: arithmetic on one pose at a time is fastest without arrays."""
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from koopdqn.pose import Array
 
 TURN: Final = 2.0 * math.pi
 """A whole turn [rad]."""
@@ -50,6 +53,22 @@ def unwrapped(angle: float, near: float, lower: float, upper: float) -> float | 
     if not lower - _LIMIT_SLACK <= angle <= upper + _LIMIT_SLACK:
         return None
     return min(max(angle, lower), upper)
+
+
+def unwrapped_batch(
+    angles: Array, near: Array, lower: Sequence[float], upper: Sequence[float]
+) -> tuple[Array, np.ndarray]:
+    """Return :func:`unwrapped` of joint angles (6, ..., N) [rad] near others that broadcast to them, and where it is.
+
+    The second is False where :func:`unwrapped` gives None; the angle is then one beyond the limits.
+    """
+    shape = (6,) + (1,) * (angles.ndim - 1)
+    low, high = np.reshape(lower, shape), np.reshape(upper, shape)
+    angles = angles + TURN * np.rint((near - angles) / TURN)
+    angles -= TURN * np.maximum(np.ceil((angles - high - _LIMIT_SLACK) / TURN), 0.0)
+    angles += TURN * np.maximum(np.ceil((low - _LIMIT_SLACK - angles) / TURN), 0.0)
+    within = (angles >= low - _LIMIT_SLACK) & (angles <= high + _LIMIT_SLACK)
+    return np.clip(angles, low, high), within
 
 
 def residuals(reached: Seven, target: Seven) -> tuple[float, float]:

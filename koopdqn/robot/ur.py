@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from koopdqn.config.settings import Name, Names, Positive, Settings, Vector6
-from koopdqn.pose import Array
+from koopdqn.pose import Array, normalized
 from koopdqn.robot.arm import InverseResult
-from koopdqn.robot.scalars import TURN, Seven, Six, joint_scalars, pose_scalars, residuals, unwrapped
+from koopdqn.robot.scalars import TURN, Seven, Six, joint_scalars, pose_scalars, residuals, unwrapped, unwrapped_batch
 
 _REACH_SLACK: Final = 1e-9
 """How far rounding may push the argument of an arc cosine beyond ±1."""
@@ -146,6 +146,35 @@ class URArm(Settings):
         position, rotation = residuals(reached, target)
         return InverseResult(answer, position, rotation, best is not None, reason)
 
+    def inverse_batch(self, poses: ArrayLike, seeds: ArrayLike) -> Array:
+        """Return for each of N poses (N, 7) in Base the joint angles that :meth:`inverse` finds from its seed (N, 6).
+
+        Rows (N, 6) [rad]; NaN where :meth:`inverse` has no success, which then says why.
+
+        Raises:
+            ValueError: poses or seeds have a wrong shape, are not finite, or a quaternion has no length.
+        """
+        poses, seeds = np.asarray(poses, dtype=float), np.asarray(seeds, dtype=float)
+        if poses.ndim != 2 or poses.shape[1] != 7 or seeds.shape != (len(poses), 6):
+            raise ValueError(f"poses and seeds must have shapes (N, 7) and (N, 6), found {poses.shape}, {seeds.shape}")
+        if not (np.isfinite(poses).all() and np.isfinite(seeds).all()):
+            raise ValueError("poses and seeds must be finite, found NaN or infinity")
+        near = seeds.T[:, None]
+        # What is out of reach has no arc cosine, and a wrist on the base axis no bearing.
+        with np.errstate(invalid="ignore", divide="ignore"):
+            branches, singular = self._branches_of(poses[:, :3], normalized(poses[:, 3:]))
+            branches, within = unwrapped_batch(branches, near, self.joint_lower, self.joint_upper)
+            differences = np.abs(branches - near)
+            steps = np.where(within.all(axis=0), differences.max(axis=0), np.inf)
+            norms = np.where(steps == steps.min(axis=0), (differences**2).sum(axis=0), np.inf)
+        best, rows = norms.argmin(axis=0), np.arange(len(poses))
+        joints = np.where(np.isfinite(steps[best, rows]), branches[:, best, rows], np.nan).T
+        # Rare, and another computation: there q6 follows the seed.
+        for row in np.flatnonzero(singular):
+            found = self.inverse(poses[row], seeds[row])
+            joints[row] = found.joints if found.success else np.nan
+        return joints
+
     def solutions(self, pose: ArrayLike, seed: ArrayLike | None = None) -> Array:
         """Return all solutions (k, 6) [rad], k ≤ 8, that bring the flange to ``pose`` (7,) in Base within the limits.
 
@@ -243,6 +272,44 @@ class URArm(Settings):
                     q2 = math.atan2(wy, wx) - math.atan2(a3 * math.sin(q3), a2 + a3 * math.cos(q3))
                     yield q1, q2, q3, q234 - q2 - q3, q5, q6
 
+    def _branches_of(self, positions: Array, quaternions: Array) -> tuple[Array, np.ndarray]:
+        """Return the branches (6, 8, N) [rad] of :meth:`_branches` for N poses, and where q5 is singular (N,).
+
+        They come in the same order, are not unwrapped, are NaN where out of reach, and mean nothing where q5 is
+        singular. Of the second wrist q6 and q234 are half a turn on, and of the second elbow the sine is negative, so
+        that each pair needs its trigonometry once.
+        """
+        (px, py, pz), (w, x, y, z) = positions.T, quaternions.T
+        r11, r12, r13 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+        r21, r22, r23 = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
+        r31, r32, r33 = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+        a2, a3, d4, d5 = self.a2, self.a3, self.d4, self.d5
+        cx, cy, height = px - self.d6 * r13, py - self.d6 * r23, pz - self.d6 * r33 - self.d1
+        bearing, opening = np.arctan2(cy, cx) + 0.5 * math.pi, np.arccos(_within_one(d4 / np.hypot(cx, cy)))
+        q1 = np.stack([bearing + opening, bearing - opening])
+        c1, s1 = np.cos(q1), np.sin(q1)
+        ax, ay, az = s1 * r11 - c1 * r21, s1 * r12 - c1 * r22, s1 * r13 - c1 * r23
+        sine = np.hypot(ax, ay)
+        c6, s6 = ax / np.maximum(sine, _SINGULAR_SINE), -ay / np.maximum(sine, _SINGULAR_SINE)
+        s234, c234 = -((c1 * r11 + s1 * r21) * s6 + (c1 * r12 + s1 * r22) * c6), r31 * s6 + r32 * c6
+        # Shoulders, wrists and elbows are axes of their own, poses the last.
+        sign = np.array([1.0, -1.0])[:, None]
+        wx = (c1 * cx + s1 * cy)[:, None] - d5 * sign * s234[:, None]
+        wy = height + d5 * sign * c234[:, None]
+        cosine = _within_one((wx * wx + wy * wy - a2 * a2 - a3 * a3) / (2.0 * a2 * a3))
+        elbow, shoulder = np.arccos(cosine), np.arctan2(wy, wx)
+        bend = np.arctan2(a3 * np.sqrt((1.0 - cosine) * (1.0 + cosine)), a2 + a3 * cosine)
+        branches = np.empty((6, 2, 2, 2, len(px)))
+        branches[0] = q1[:, None, None]
+        branches[1] = shoulder[:, :, None] - sign * bend[:, :, None]
+        branches[2] = sign * elbow[:, :, None]
+        half_turn = np.array([0.0, math.pi])[:, None, None]
+        branches[4] = sign[:, None] * np.arctan2(sine, az)[:, None, None]
+        branches[5] = np.arctan2(-ay, ax)[:, None, None] + half_turn
+        q234 = np.arctan2(s234, c234)[:, None, None] + half_turn
+        branches[3] = q234 - branches[1] - branches[2]
+        return branches.reshape(6, 8, -1), (sine < _SINGULAR_SINE).any(axis=0)
+
     def _into_reach(self, q234: float, forward: float, height: float) -> float:
         """Return the smallest turn [rad] of q234 that brings the wrist within the elbow's reach; 0 if none does.
 
@@ -289,6 +356,11 @@ class URArm(Settings):
             f"out of reach: the wrist centre would be {math.hypot(x, y):.4f} m from the base axis, "
             f"at least {abs(self.d4):.4f} m (d4) needed"
         )
+
+
+def _within_one(cosines: Array) -> Array:
+    """Return cosines rid of what rounding pushed beyond ±1; NaN where they are farther beyond."""
+    return np.where(np.abs(cosines) <= 1.0 + _REACH_SLACK, np.clip(cosines, -1.0, 1.0), np.nan)
 
 
 def _wrist_centre(target: Seven, d6: float) -> tuple[float, float, float]:

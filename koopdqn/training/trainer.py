@@ -13,6 +13,7 @@ from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.replay import ReplayBuffer
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.episodes import EpisodeBatch
+from koopdqn.environment.reachability import Motion
 from koopdqn.environment.reward import ASKED, CERTIFIED, RULE, IntentReward, Judgement
 from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import Oracle, Place
@@ -157,8 +158,7 @@ class Trainer:
         judgement = self._judge()
         observations = observe(judgement.placed, self._task)
         values = self.learner.online.values(observations)
-        if self.agent.trials == "all":
-            self._try_known(judgement, observations)
+        motions = self._try_known(judgement, observations) if self.agent.trials == "all" else {}
         changes = self.feedback.changes
         for index in range(len(self._batch)):
             refused = True
@@ -168,28 +168,40 @@ class Trainer:
                     changes = self.feedback.changes
                     judgement = self._judge()
                 # A no alone says little: the same place is asked about until something is right there.
-                refused = self._act(index, judgement, values[index], observations[index])
+                refused = self._act(index, judgement, values[index], observations[index], motions)
 
     def _judge(self) -> Judgement:
         return self.feedback.judge(self._batch.poses, self._batch.steps, self._batch.starts)
 
-    def _try_known(self, judgement: Judgement, observations: np.ndarray) -> None:
+    def _try_known(self, judgement: Judgement, observations: np.ndarray) -> dict[tuple[int, int], Motion]:
+        """Try whatever is known of every episode; return what became of the motions, by episode and action."""
         batch = self._batch
         mask = judgement.known & ~batch.stored
-        for index, action in np.argwhere(mask & (judgement.reward >= 0)):
-            if self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index]).joints is None:
+        rows, actions = np.nonzero(mask & (judgement.reward >= 0))
+        moved = self.workcell.reachability.move_batch(judgement.reached[rows, actions], batch.joints[rows])
+        motions = dict(zip(zip(rows.tolist(), actions.tolist(), strict=True), moved, strict=True))
+        for (index, action), motion in motions.items():
+            if motion.joints is None:
                 self._refuse(judgement, index, action)
         rows, actions = np.nonzero(mask)
         places = batch.poses[rows], batch.starts[rows], batch.steps[rows]
         self._keep(Tries(judgement, rows, actions, observations[rows], *places))
         batch.stored[rows, actions] = True
+        return motions
 
     def _refuse(self, judgement: Judgement, index: int, action: int) -> None:
         judgement.reward[index, action] = self.feedback.reward.value(False, False)
         judgement.known[index, action] = True
         judgement.source[index, action] = RULE
 
-    def _act(self, index: int, judgement: Judgement, values: np.ndarray, observation: np.ndarray) -> bool:
+    def _act(
+        self,
+        index: int,
+        judgement: Judgement,
+        values: np.ndarray,
+        observation: np.ndarray,
+        motions: dict[tuple[int, int], Motion],
+    ) -> bool:
         """Let an episode try one action; return whether it asked, was told no and has others to ask about."""
         batch = self._batch
         asked = False
@@ -202,7 +214,9 @@ class Trainer:
             return False
         places = batch.poses[index].copy(), batch.starts[index].copy()
         trial = Trial(int(batch.numbers[index]), int(batch.steps[index]), *places, action)
-        motion = self.workcell.reachability.move(judgement.reached[index, action], batch.joints[index])
+        motion = motions.get((index, action)) or self.workcell.reachability.move(
+            judgement.reached[index, action], batch.joints[index]
+        )
         if motion.joints is None:
             self._refuse(judgement, index, action)
         elif not judgement.known[index, action] or self._contested(judgement, index, action):
