@@ -22,7 +22,7 @@ def derivation(**fields: object) -> Derivation:
 
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         config = compose("config", overrides=["task=demonstrated"])
-    found = load_settings({**OmegaConf.to_container(config.task), **fields}, TaskChoice, "task")
+    found = load_settings({**OmegaConf.to_container(config.task, resolve=True), **fields}, TaskChoice, "task")
     assert isinstance(found, Derivation)
     return found
 

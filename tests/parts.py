@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -63,13 +62,8 @@ def load_parts(*overrides: str) -> Parts:
 
 def with_fields(task: Task, **fields: object) -> ShelfTask:
     """Return the shelf task with some fields changed and checked anew (``model_copy`` would keep what is cached)."""
-    node = _untargeted(described(task))
+    node = {key: value for key, value in described(task).items() if key != TARGET}
     return validate(node | fields, ShelfTask, "task")
-
-
-def _untargeted(node: dict[str, Any]) -> dict[str, Any]:
-    plain = {key: value for key, value in node.items() if key != TARGET}
-    return {key: _untargeted(value) if isinstance(value, dict) else value for key, value in plain.items()}
 
 
 def straight_poses(start: Array, end: Array, count: int, quaternion: Array) -> Array:

@@ -222,7 +222,7 @@ def test_inputs_that_do_not_belong_together_are_refused(made: Path, capsys: pyte
     assert "must be fitted to the demonstrations used" in refused(capsys, "train", *SMALL, demos, intent)
     assert "must be of task knife, found task shelf" in refused(capsys, "fit", "task=knife", demos)
     assert "must be of task shelf with the present settings" in refused(
-        capsys, "eval", f"run={made}/run", "task.pull_back_m=0.02"
+        capsys, "eval", f"run={made}/run", "person.look_ahead_m=0.02"
     )
     assert "must be of task knife" in refused(capsys, "eval", f"run={made}/run", "task=knife")
 

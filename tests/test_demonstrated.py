@@ -16,10 +16,13 @@ from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.generator import generate
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrated_law import DemonstratedLaw
+from koopdqn.tasks.law import Law
+from koopdqn.tasks.person import Pursuit
+from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.task import Task
 
 RECIPE = derivation()
+AHEAD = 0.015
 
 
 def three() -> Derived:
@@ -160,18 +163,23 @@ def test_the_law_comes_to_the_goal_along_a_demonstration(index: int, demonstrati
     points = np.concatenate([trajectory[:, :3] for trajectory in task.trajectories])
     gap = np.linalg.norm(path[:, None, :3] - points[None], axis=2).min(axis=1)
     # After some look-ahead distances on the way the offset has died out.
-    settled = int(6 * task.pull_back_m / task.step_m) + int(2 * np.linalg.norm(offset) / task.step_m)
+    settled = int(6 * AHEAD / task.step_m) + int(2 * np.linalg.norm(offset) / task.step_m)
     assert gap[settled:].max(initial=0.0) < 0.0025
 
 
 LAW_TASK = three().task
 
 
+def pursuing(poses: Array, step: float, turn: float) -> Law:
+    """Return the law of pursuing the path along poses (N, 7)."""
+    return Pursuit(name="pursuit", look_ahead_m=AHEAD).law(ShownPath.along(poses), poses[-1], step, turn)
+
+
 def test_the_law_ends_although_its_path_crosses_itself() -> None:
     angle = np.linspace(0.0, 1.75 * np.pi, 300)
     loop = np.stack([np.full(300, 0.45), 0.1 * np.sin(2 * angle), 0.35 + 0.1 * np.sin(angle)], axis=1)
     poses = pose.make(loop, HORIZONTAL)
-    law = DemonstratedLaw.of([poses], poses[-1], 0.0021, 0.01, 0.0)
+    law = pursuing(poses, 0.0021, 0.0)
     path = law.roll_out(poses[0], 2000)
     assert pose.position_distance(path[-1], poses[-1]) < 1e-6
 
@@ -182,7 +190,7 @@ def test_turning_in_place_is_followed() -> None:
     before = turned_by(still, 1.0)
     moved[:, 3:] = before[0, 3:]
     poses = np.concatenate([moved, before])[1::2]
-    law = DemonstratedLaw.of([poses], poses[-1], 0.0063, 0.01, 0.02)
+    law = pursuing(poses, 0.0063, 0.02)
     path = law.roll_out(poses[0], 500)
     assert pose.rotation_distance(path[-1], poses[-1]) < 1e-6
     arrived = int((pose.position_distance(path, poses[-1]) < 0.01).argmax())

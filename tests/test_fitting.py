@@ -2,7 +2,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from parts import Parts, as_demonstrations, straight_poses
+from parts import Parts, as_demonstrations, load_parts, straight_poses
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
@@ -196,3 +196,15 @@ def test_agent_steps_are_a_step_apart(trajectories: list[Array], parts: Parts) -
     for rows in trajectories:
         gaps = pose.position_distance(rows[1:], rows[:-1])
         np.testing.assert_allclose(gaps[:-1], parts.task.step_m, rtol=1e-6)
+
+
+@pytest.mark.parametrize("person", ["person.look_ahead_m=0.06", "person=via"])
+def test_the_model_is_told_nothing_of_the_person(
+    demonstrations: Demonstrations, fitted: Fitted, parts: Parts, person: str
+) -> None:
+    other = fit(demonstrations, load_parts(person).task, parts.intent, parts.trust, parts.reward)
+    for mine, theirs in ((fitted.model, other.model), (fitted.trust, other.trust)):
+        arrays = theirs.arrays()
+        assert mine.arrays().keys() == arrays.keys()
+        for name, values in mine.arrays().items():
+            np.testing.assert_array_equal(values, arrays[name])

@@ -20,6 +20,7 @@ from koopdqn.intent.trust import TrustSettings
 from koopdqn.recording.settings import DemoSettings
 from koopdqn.reporting.settings import ReportSettings
 from koopdqn.robot.arm import Arm
+from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
 from koopdqn.training.settings import TrainSettings
 
@@ -106,9 +107,12 @@ class Configuration:
             "export": ExportSettings,
         }
         own = set(Inputs.model_fields)
+        known = own | set(polymorphic) | set(fixed) | {"person"}
         for key in content:
-            if key not in own | set(polymorphic) | set(fixed):
-                raise unknown_name("key", key, own | set(polymorphic) | set(fixed))
+            if key not in known:
+                raise unknown_name("key", key, known)
+        # The task holds the person; here mistakes are told by the key under which they were made.
+        load_settings(content.get("person"), Person, "person")
         parts: dict[str, Any] = {"inputs": validate({key: content.get(key) for key in own}, Inputs)}
         parts |= {key: load_settings(content.get(key), base, key) for key, base in polymorphic.items()}
         parts |= {key: validate(content.get(key), model, key) for key, model in fixed.items()}

@@ -18,6 +18,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrated import DemonstratedTask, Turning
 from koopdqn.tasks.path import arc_lengths, at_arc_lengths
+from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
 
@@ -61,7 +62,7 @@ class Derivation(TaskChoice):
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: Positive
-    pull_back_m: float = Field(ge=1e-3, le=1.0, description="how far ahead the law looks along a demonstration [m]")
+    person: AnyPerson = Field(description="who answers: goes along the demonstrations' mean")
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
     end_spread: Fraction = Field(
         description="how far a demonstration may end from the mean of all ends, as a share of the median way from start"
@@ -144,7 +145,7 @@ class Derivation(TaskChoice):
             rotation_tolerance_rad=self.rotation_tolerance_rad,
             goal_tolerance_m=self.goal_tolerance_m,
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
-            pull_back_m=self.pull_back_m,
+            person=self.person,
             variation_m=0.0,
             least_clearance_m=0.0,
             turning=turning,

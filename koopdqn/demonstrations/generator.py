@@ -148,7 +148,7 @@ class _Shapes:
 
 def _follow(task: Task, start: Array) -> Array:
     limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
-    return task.demonstrator_on(task.nominal_path).finer(_SUBSTEPS).roll_out(start, limit)
+    return task.law(finer=_SUBSTEPS).roll_out(start, limit)
 
 
 def _wandered(path: Array, shape: Array) -> Array:

@@ -6,31 +6,34 @@ step of one of them alone.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.environment.actions import legal_actions, reached_poses
 from koopdqn.environment.compare import excess, within_tolerance
 from koopdqn.environment.reward import Prediction, certain_signs
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.validation import Fold
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrated_law import DemonstratedLaw
+from koopdqn.tasks.law import Law
+from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
-
-if TYPE_CHECKING:
-    from koopdqn.tasks.law import Law
 
 # How far ahead, in steps, going along the mean of the demonstrations looks.
 _AHEAD_STEPS = 5.0
 
 
-def along_mean(trajectories: Sequence[Array], task: Task) -> "Law":
+def along_mean(trajectories: Sequence[Array], task: Task) -> Law:
     """Return what goes on along the mean of pose trajectories (N, 7), placed in the intent's frame."""
     turn = IN_PLACE * task.rotation_tolerance_rad if task.orientation == "learned" else 0.0
-    return DemonstratedLaw.of(trajectories, task.goal, task.step_m, _AHEAD_STEPS * task.step_m, turn)
+    mean = ShownPath.along(mean_poses(list(trajectories), max(len(rows) for rows in trajectories)))
+    return Law(mean, _some_steps_ahead, task.goal, task.step_m, turn)
+
+
+def _some_steps_ahead(path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
+    return path.places.at(arc + _AHEAD_STEPS * step)
 
 
 def jackknifed(

@@ -80,7 +80,7 @@ class Course:
         """Return the positions (N, 3) [m] a step of ``length`` [m] from positions (N, 3), at most up to the end.
 
         The step goes along the path's own direction at the nearest point, turned toward that point so that an
-        offset dies out over the look-ahead distance: the pursuit law of :mod:`koopdqn.tasks.demonstrator`,
+        offset dies out over the look-ahead distance: the pursuit law of :mod:`koopdqn.tasks.person`,
         exact on the path itself, where aiming at a point ahead would cut its curves.
         """
         index = self.nearest(positions)

@@ -8,10 +8,10 @@ from pydantic import Field, model_validator
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks import law
 from koopdqn.tasks.law import Law
 from koopdqn.tasks.path import SmoothPath
 from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.task import Waypoints
 
 
@@ -32,11 +32,16 @@ class BothSidesTask(ShelfTask):
             )
         return self
 
+    def law(self, finer: int = 1) -> Law:
+        """Return the person's law from either side, along the path that is nearer."""
+        own = super().law(finer)
+        other = self.person.law(self._other_path, self.goal, own.step, own.turn)
+        return _AlongNearer(own.path, own.aim, own.goal, own.step, own.turn, other)
+
     @cached_property
-    def demonstrator(self) -> Law:
-        """The person from either side: along the path that is nearer."""
-        paths = self.nominal_path, SmoothPath.through(self.other_waypoints)
-        return _AlongNearer(paths, tuple(self.demonstrator_on(path) for path in paths))
+    def _other_path(self) -> ShownPath:
+        places = SmoothPath.through(self.other_waypoints)
+        return ShownPath(places, np.tile(self.goal[pose.QUATERNION], (len(places.points), 1)))
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7), each from the start region of a side drawn by its share."""
@@ -51,29 +56,20 @@ class BothSidesTask(ShelfTask):
 
 
 @dataclass(frozen=True)
-class _AlongNearer:
-    """A law of several paths to one goal: from every pose that of the path that is nearest.
+class _AlongNearer(Law):
+    """A law of two paths to one goal: from every pose that of the path that is nearer.
 
     Attributes:
-        paths: the paths.
-        laws: one for each.
+        other: the law of the second path.
     """
 
-    paths: tuple[SmoothPath, ...]
-    laws: tuple[Law, ...]
-
-    @property
-    def goal(self) -> Array:
-        """The pose (7,) at the end."""
-        return self.laws[0].goal
+    other: Law
 
     def next_pose(self, poses: Array) -> Array:
         """Return where the person would be after one step from poses (N, 7)."""
         position = poses[:, pose.POSITION]
-        far = [np.linalg.norm(path.at(path.nearest(position)) - position, axis=1) for path in self.paths]
-        wished = np.array([each.next_pose(poses) for each in self.laws])
-        return np.asarray(wished[np.argmin(far, axis=0), np.arange(len(poses))])
-
-    def roll_out(self, start: Array, limit: int) -> Array:
-        """Return the poses (T, 7) of the law from a start (7,) until the goal, at most ``limit`` steps."""
-        return law.roll_out(self, start, limit)
+        own, other = (
+            np.linalg.norm(path.at(path.nearest(position)) - position, axis=1)
+            for path in (self.path.places, self.other.path.places)
+        )
+        return np.where((own <= other)[:, None], super().next_pose(poses), self.other.next_pose(poses))

@@ -7,14 +7,13 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from koopdqn import pose
+from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.schema import Sha256
-from koopdqn.tasks.demonstrated_law import DemonstratedLaw
-from koopdqn.tasks.law import Law
 from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -104,12 +103,13 @@ class DemonstratedTask(Task):
         return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], self.follows_start)
 
     @cached_property
-    def demonstrator(self) -> Law:
-        """The law of the training demonstrations: along their mean, all told as from the nominal start."""
-        turn = IN_PLACE * self.rotation_tolerance_rad if self.turning == "geodesic" else 0.0
-        return DemonstratedLaw.of(
-            self.person_frame.each(self.trajectories), self.goal, self.step_m, self.pull_back_m, turn
-        )
+    def shown_path(self) -> ShownPath:
+        """The mean of the training demonstrations, all told as from the nominal start.
+
+        Of what demonstrations alone tell, their mean was found to be nearest to those left out.
+        """
+        count = max(len(rows) for rows in self.trajectories)
+        return ShownPath.along(mean_poses(self.person_frame.each(self.trajectories), count))
 
     def with_starts_scaled(self, scale: float) -> Self:
         """Return the task with ``scale`` times the distance that a start may lie from a demonstrated one."""

@@ -6,11 +6,10 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Settings, Vector3
+from koopdqn.config.settings import Fraction, Settings, Vector3
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrator import TurnLaw
 from koopdqn.tasks.segments import segment_distance
-from koopdqn.tasks.task import TURNS_PER_STEP, Task
+from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -21,12 +20,12 @@ EDGE = (0.85, 0.25, 0.15, 1.0)
 GRIP = (0.16, 0.11, 0.08, 1.0)
 CLOTH = (0.25, 0.35, 0.55, 1.0)
 SKIN = (0.85, 0.66, 0.53, 1.0)
-# Lines along the blade, from edge to spine, whose distance to the person is taken as the blade's.
+# Lines along the blade, from edge to spine, whose distance to the receiver is taken as the blade's.
 _BLADE_LINES = 5
 
 
 class Limb(Settings):
-    """A part of the person: a capsule between two points in UR Base."""
+    """A part of the receiver: a capsule between two points in UR Base."""
 
     name: str
     start: Vector3
@@ -36,12 +35,12 @@ class Limb(Settings):
 
 
 class KnifeTask(Task):
-    """The arm brings a knife to a person, handle first, edge up at the start and down at the end.
+    """The arm brings a knife to a receiver, handle first, edge up at the start and down at the end.
 
     The blade lies along the flange's z axis, held by its spine; the handle, beyond it, points at the
-    person throughout. The edge is a unit vector in the flange frame. The turn is about the blade's long axis.
+    receiver throughout. The edge is a unit vector in the flange frame. The turn is about the blade's long axis.
     The blade is safe while its edge is within ``safe_angle_rad`` of straight down; the rule is broken when
-    the blade is nearer to the person than ``rule_distance_m`` and not safe.
+    the blade is nearer to the receiver than ``rule_distance_m`` and not safe.
     """
 
     edge: Vector3 = Field(description="direction of the cutting edge, a unit vector in the flange frame")
@@ -51,27 +50,17 @@ class KnifeTask(Task):
     handle_length_m: float = Field(gt=0)
     safe_angle_rad: float = Field(gt=0)
     rule_distance_m: float = Field(gt=0)
-    turn_gain: float = Field(gt=0, lt=1, description="share of a small remaining turn that one step turns")
-    turn_saturation_rad: float = Field(gt=0, description="remaining turn over which the rate would be zero again [rad]")
-    turn_slowest_rad: float = Field(gt=0, description="least turn of a step [rad]")
-    person: Annotated[tuple[Limb, ...], Strict(False), Field(min_length=1)]
+    turn_from: Fraction = Field(description="share of the path shown at which the turn begins")
+    turn_until: Fraction = Field(description="share of the path shown at which the turn is made")
+    receiver: Annotated[tuple[Limb, ...], Strict(False), Field(min_length=1)]
 
     @model_validator(mode="after")
     def _check_edge(self) -> "KnifeTask":
         length = float(np.linalg.norm(self.edge))
         if abs(length - 1.0) > 1e-3 or abs(self.edge[2]) > 1e-3:
             raise ValueError(f"edge must be a unit vector at right angles to the flange's z axis, found {self.edge}")
-        fastest, most = self.turn_gain * self.turn_saturation_rad / 4, TURNS_PER_STEP * self.rotation_tolerance_rad
-        if fastest > most:
-            raise ValueError(
-                f"turn_gain times turn_saturation_rad / 4, the fastest turn of a step, must be at most"
-                f" {TURNS_PER_STEP:g} rotation tolerances ({most:g} rad), found {fastest:g}"
-            )
-        if self.turn_slowest_rad <= self.rotation_tolerance_rad:
-            raise ValueError(
-                f"turn_slowest_rad must be over rotation_tolerance_rad ({self.rotation_tolerance_rad:g}), or not"
-                f" turning at all would be right, found {self.turn_slowest_rad:g}"
-            )
+        if self.turn_until <= self.turn_from:
+            raise ValueError(f"turn_until must be over turn_from ({self.turn_from:g}), found {self.turn_until:g}")
         return self
 
     @property
@@ -79,10 +68,10 @@ class KnifeTask(Task):
         """The turn is part of what is learned."""
         return "learned"
 
-    @property
-    def turn_law(self) -> TurnLaw | None:
-        """Fast at first, slower toward the end."""
-        return TurnLaw(self.turn_gain, self.turn_saturation_rad, self.turn_slowest_rad)
+    def turned(self, share: Array) -> Array:
+        """Return the share (N,) of the turn that is made at shares (N,) of the path shown: a smooth step 3u² − 2u³."""
+        u = np.clip((share - self.turn_from) / (self.turn_until - self.turn_from), 0.0, 1.0)
+        return np.asarray(u**2 * (3.0 - 2.0 * u))
 
     @property
     def rule(self) -> str:
@@ -96,25 +85,25 @@ class KnifeTask(Task):
         return np.asarray(np.arctan2(np.hypot(edge[:, 0], edge[:, 1]), -edge[:, 2]))
 
     def blade_distance(self, poses: Array) -> Array:
-        """Return the distance (N,) [m] from the nearest point of the blade to the person at poses (N, 7)."""
+        """Return the distance (N,) [m] from the nearest point of the blade to the receiver at poses (N, 7)."""
         heights = np.linspace(-0.5, 0.5, _BLADE_LINES) * self.blade_height_m
         along = np.array([0.0, 0.0, 1.0])
         nearest = np.full(len(poses), np.inf)
         for height in heights:
             ends = [height * np.array(self.edge) + z * along for z in self._blade_ends]
             first, second = (pose.rotate(poses[:, pose.QUATERNION], end) + poses[:, pose.POSITION] for end in ends)
-            for limb in self.person:
+            for limb in self.receiver:
                 gap = segment_distance(first, second, np.array(limb.start), np.array(limb.end)) - limb.radius_m
                 nearest = np.minimum(nearest, gap)
         return nearest
 
     def rule_broken(self, poses: Array) -> np.ndarray:
-        """Return whether the blade is near the person and not safe at each pose (N, 7), as booleans (N,)."""
+        """Return whether the blade is near the receiver and not safe at each pose (N, 7), as booleans (N,)."""
         unsafe = self.blade_angle(poses) > self.safe_angle_rad
         return np.asarray(unsafe & (self.blade_distance(poses) < self.rule_distance_m))
 
     def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
-        """Return the blade's final angle, when it became safe, its least distance to the person and its speed."""
+        """Return the blade's final angle, when it became safe, its least distance to the receiver and its speed."""
         angle = self.blade_angle(path)
         unsafe = np.flatnonzero(angle > self.safe_angle_rad)
         until = 0.0 if not len(unsafe) else (unsafe[-1] + 1) / (len(path) - 1)
@@ -132,7 +121,7 @@ class KnifeTask(Task):
         return self.blade_start_m, self.blade_start_m + self.blade_length_m
 
     def furnish(self, scene: "SceneBuilder") -> None:
-        """Put a gripper with a knife on the flange, and the person where they stand."""
+        """Put a gripper with a knife on the flange, and the receiver where they stand."""
         edge = np.array(self.edge)
         side = np.cross([0.0, 0.0, 1.0], edge)
         start, end = self._blade_ends
@@ -155,6 +144,6 @@ class KnifeTask(Task):
         scene.tool_cylinder(
             "handle", (0.0, 0.0, end), (0.0, 0.0, end + self.handle_length_m), 0.012, GRIP, mass=0.08, payload=True
         )
-        for limb in self.person:
+        for limb in self.receiver:
             rgba = SKIN if limb.skin else CLOTH
-            scene.furniture_capsule(f"person_{limb.name}", limb.start, limb.end, limb.radius_m, rgba)
+            scene.furniture_capsule(f"receiver_{limb.name}", limb.start, limb.end, limb.radius_m, rgba)

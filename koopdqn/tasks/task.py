@@ -1,4 +1,4 @@
-"""What a task is: its poses, its scene, its demonstrator and its rule."""
+"""What a task is: its poses, its scene, its person and its rule."""
 
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -10,10 +10,12 @@ from pydantic import Field, Strict, model_validator
 from koopdqn import pose
 from koopdqn.config.settings import Settings, Vector3, Vector4
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrator import Demonstrator, TurnLaw
 from koopdqn.tasks.law import Law
 from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.person import AnyPerson
+from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.step import IN_PLACE
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -54,11 +56,7 @@ class Task(TaskChoice):
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: float = Field(gt=0, description="within it the goal counts as reached [m]")
     goal_rotation_tolerance_rad: float = Field(gt=0)
-    pull_back_m: float = Field(
-        ge=1e-3,
-        le=1.0,
-        description="how far ahead the demonstrator looks along its path [m]",
-    )
+    person: AnyPerson = Field(description="who demonstrates and answers")
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
 
@@ -106,10 +104,12 @@ class Task(TaskChoice):
         """In which frame the person's law knows poses: as they are, unless the person follows their start."""
         return STILL
 
-    @property
-    def turn_law(self) -> TurnLaw | None:
-        """How the person turns; None where orientation is held."""
-        return None
+    def turned(self, share: Array) -> Array:
+        """Return the share (N,) of the turn from start to goal that is made at shares (N,) of the path shown.
+
+        All of it, where orientation is held.
+        """
+        return np.ones_like(share)
 
     def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
         """Return what evaluation reports of a path (T, 7) for this task alone, by key of ``eval.json``."""
@@ -156,18 +156,28 @@ class Task(TaskChoice):
         return pose.make(self.waypoints[0], self.start_quaternion)
 
     @cached_property
+    def shown_path(self) -> ShownPath:
+        """The path of poses that the person is shown: through the waypoints, turned as :meth:`turned` says."""
+        places = SmoothPath.through(self.waypoints)
+        turn = pose.rotation_distance(self.nominal_start, self.goal)
+        angle = turn * self.turned(np.linspace(0.0, 1.0, len(places.points)))
+        start = np.tile(self.nominal_start[pose.QUATERNION], (len(angle), 1))
+        return ShownPath(places, pose.turned_toward(start, self.goal[pose.QUATERNION], angle))
+
+    @cached_property
     def nominal_path(self) -> SmoothPath:
         """The path a person means, without variation."""
-        return SmoothPath.through(self.waypoints)
+        return self.demonstrator.path.places
 
     @cached_property
     def demonstrator(self) -> Law:
         """The person's law without variation: what the scripted oracle answers from."""
-        return self.demonstrator_on(self.nominal_path)
+        return self.law()
 
-    def demonstrator_on(self, path: SmoothPath) -> Demonstrator:
-        """Return the person's law on another path."""
-        return Demonstrator(path, self.goal, self.step_m, self.pull_back_m, self.turn_law)
+    def law(self, finer: int = 1) -> Law:
+        """Return the person's law, with steps ``finer`` times smaller than the agent's."""
+        turn = IN_PLACE * self.rotation_tolerance_rad if self.orientation == "learned" else 0.0
+        return self.person.law(self.shown_path, self.goal, self.step_m / finer, turn / finer)
 
     def with_starts_scaled(self, scale: float) -> Self:
         """Return the task with the half ranges of its start region times ``scale``; tilts stay."""

@@ -2,22 +2,23 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from parts import with_fields
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrator import Demonstrator
-from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.law import Law
+from koopdqn.tasks.person import Pursuit
 from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.shown_path import ShownPath
 
-STEP, PULL_BACK = 0.002, 0.015
+STEP, AHEAD = 0.002, 0.015
 UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
 
 
-def on_straight_path() -> Demonstrator:
-    path = SmoothPath.along([[0.0, 0, 0], [0.4, 0, 0]], 1e-4)
-    return Demonstrator(path, pose.make([0.4, 0, 0], UPRIGHT), STEP, PULL_BACK)
+@pytest.fixture
+def law() -> Law:
+    ends = pose.make([[0.0, 0, 0], [0.4, 0, 0]], UPRIGHT)
+    return Pursuit(name="pursuit", look_ahead_m=AHEAD).law(ShownPath.along(ends), ends[-1], STEP, 0.0)
 
 
 def corners(task: ShelfTask) -> Array:
@@ -27,22 +28,7 @@ def corners(task: ShelfTask) -> Array:
     )
 
 
-@settings(max_examples=15)
-@given(st.floats(-0.005, 0.005), st.floats(-0.005, 0.005))
-def test_small_offsets_die_out_over_the_look_ahead_distance(y: float, z: float) -> None:
-    law = on_straight_path()
-    passed = law.roll_out(pose.make([0.05, y, z], UPRIGHT), 1000)
-    sideways = np.linalg.norm(passed[:, 1:3], axis=1)
-    travelled = passed[:, 0] - 0.05
-    after = int(np.searchsorted(travelled, PULL_BACK))
-    # exp(−1) in the limit of short steps; Euler's steps of s contract by (1 − s/pull_back) each, a little more.
-    assert sideways[after] <= np.exp(-0.9) * sideways[0] + 1e-12
-    assert sideways[after] >= np.exp(-1.4) * sideways[0] - 1e-12
-    assert np.all(np.diff(sideways) <= 1e-12)
-
-
-def test_every_step_is_one_step_long_until_the_goal() -> None:
-    law = on_straight_path()
+def test_every_step_is_one_step_long_until_the_goal(law: Law) -> None:
     passed = law.roll_out(pose.make([0.0, 0.03, -0.01], UPRIGHT), 1000)
     gaps = np.linalg.norm(np.diff(passed[:, :3], axis=0), axis=1)
     np.testing.assert_allclose(gaps[:-1], STEP, atol=1e-12)
@@ -50,12 +36,11 @@ def test_every_step_is_one_step_long_until_the_goal() -> None:
     np.testing.assert_allclose(passed[-1], law.goal, atol=1e-6)
 
 
-def test_the_goal_is_where_it_rests() -> None:
-    law = on_straight_path()
+def test_the_goal_is_where_it_rests(law: Law) -> None:
     np.testing.assert_array_equal(law.next_pose(law.goal[None])[0], law.goal)
 
 
-def test_it_comes_to_the_goal_from_anywhere_in_the_start_region(shelf_task: ShelfTask) -> None:
+def test_it_comes_to_the_goal_from_anywhere_in_the_start_region_and_holds_the_path(shelf_task: ShelfTask) -> None:
     law = shelf_task.demonstrator
     path = shelf_task.nominal_path
     starts = np.concatenate([corners(shelf_task), shelf_task.draw_starts(np.random.default_rng(0), 20)])
@@ -65,8 +50,8 @@ def test_it_comes_to_the_goal_from_anywhere_in_the_start_region(shelf_task: Shel
     assert pose.position_distance(passed[-1], shelf_task.goal).max() < 1e-6
     assert pose.rotation_distance(passed[-1], shelf_task.goal).max() < 1e-6
     # Ten look-ahead distances further on, the path is held, but for cutting its bends a little.
-    held = np.array(passed)[int(10 * shelf_task.pull_back_m / shelf_task.step_m) :].reshape(-1, 7)[:, :3]
-    assert np.linalg.norm(held - path.at(path.nearest(held)), axis=1).max() < 0.2 * shelf_task.pull_back_m
+    held = np.array(passed)[int(10 * AHEAD / shelf_task.step_m) :].reshape(-1, 7)[:, :3]
+    assert np.linalg.norm(held - path.at(path.nearest(held)), axis=1).max() < 0.2 * AHEAD
 
 
 def test_it_is_a_function_of_the_pose_alone(shelf_task: ShelfTask) -> None:
@@ -87,10 +72,19 @@ def test_held_orientation_is_the_goals(shelf_task: ShelfTask) -> None:
     assert pose.rotation_distance(reached, shelf_task.goal)[0] < 1e-12
 
 
-def test_finer_steps_follow_the_same_way() -> None:
-    law = on_straight_path()
-    start = pose.make([0.0, 0.01, 0.0], UPRIGHT)
-    coarse, fine = law.roll_out(start, 1000), law.finer(4).roll_out(start, 4000)
-    assert np.linalg.norm(np.diff(fine[:, :3], axis=0), axis=1)[:-1] == pytest.approx(STEP / 4)
+@pytest.mark.parametrize("person", ["pursuit", "square", "via", "wide"])
+def test_finer_steps_follow_the_same_way(shelf_task: ShelfTask, person: str) -> None:
+    from hydra import compose, initialize_config_dir
+    from omegaconf import OmegaConf
+
+    from koopdqn.config.resources import conf_dir
+
+    with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+        node = OmegaConf.to_container(compose("config", overrides=[f"person={person}"]).person)
+    task = with_fields(shelf_task, person=node)
+    start = task.nominal_start.copy()
+    start[1] += 0.01
+    coarse, fine = task.law().roll_out(start, 1000), task.law(finer=4).roll_out(start, 4000)
+    assert np.linalg.norm(np.diff(fine[:, :3], axis=0), axis=1)[:-1] == pytest.approx(task.step_m / 4)
     gap = np.linalg.norm(coarse[:, None, :3] - fine[None, :, :3], axis=2).min(axis=1)
-    assert gap.max() < STEP
+    assert gap.max() < task.step_m

@@ -1,0 +1,144 @@
+"""Scripted persons: each goes along a path it was shown, and comes back to it in a way of its own."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from koopdqn import pose
+from koopdqn.config.settings import Name, Settings, load_settings
+from koopdqn.pose import Array
+from koopdqn.tasks.law import Law
+from koopdqn.tasks.path import arc_lengths
+from koopdqn.tasks.shown_path import ShownPath
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
+
+class Person(Settings, ABC):
+    """Who demonstrates and answers. Subclass it for one of your own; the subclass's fields are its settings."""
+
+    name: Name
+
+    @abstractmethod
+    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
+        """Return the person's law for a path that was shown.
+
+        Args:
+            shown: the path; it ends at the goal.
+            goal: pose (7,) at which the law comes to rest.
+            step: distance of one step [m].
+            turn: turn of one step in place [rad]; 0 where the goal's orientation is held.
+        """
+
+
+def _to_person(value: object) -> object:
+    return load_settings(value, Person, "task.person") if isinstance(value, Mapping) else value
+
+
+AnyPerson = Annotated[Person, BeforeValidator(_to_person)]
+"""A person of any kind, as a field of settings."""
+
+
+class Pursuit(Person):
+    """Pursues a point that runs ahead on the path: a small offset dies out as exp(−distance / look-ahead)."""
+
+    look_ahead_m: float = Field(
+        ge=1e-3, le=1.0, description="how far ahead on the path the person looks, at least a step [m]"
+    )
+
+    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
+        """Return the law of pursuit on the path."""
+        return Law(shown, self._aim, goal, step, turn)
+
+    def _aim(self, path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
+        return path.places.at(arc + max(self.look_ahead_m, step))
+
+
+class Wide(Pursuit):
+    """Keeps a wide berth of things: pursues a path whose detours from the straight line to the goal are larger."""
+
+    wider: float = Field(ge=0, le=1, description="by how much the detours are larger, as a share of them")
+
+    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
+        """Return the law of pursuit on the wider path."""
+        points = shown.places.points
+        chord = points[-1] - points[0]
+        along = (points - points[0]) @ chord / max(float(chord @ chord), 1e-12)
+        straight = points[0] + along[:, None] * chord
+        wider = straight + (1.0 + self.wider) * (points - straight)
+        return super().law(ShownPath.along(pose.make(wider, shown.quaternions)), goal, step, turn)
+
+
+class Square(Person):
+    """First returns to the path at a right angle: farther from it than a step, it heads for the nearest place."""
+
+    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
+        """Return the law of returning to the path, then going along it."""
+        return Law(shown, _nearest_first, goal, step, turn)
+
+
+def _nearest_first(path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
+    nearest = path.places.at(arc)
+    off = np.linalg.norm(positions - nearest, axis=1, keepdims=True) > step
+    return np.where(off, nearest, path.places.at(arc + step))
+
+
+class Via(Person):
+    """Passes via points with minimum jerk (Flash & Hogan 1985).
+
+    The via points lie at equal shares of the path shown; between them it goes as the motion of least jerk through
+    them does. An offset dies out as the minimum-jerk polynomial says, and is gone at the next via point.
+    """
+
+    via_points: int = Field(ge=0, le=50, description="how many it passes between start and goal")
+
+    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
+        """Return the law of passing the via points."""
+        path, arcs = self._meant(shown)
+        return Law(path, partial(_minimum_jerk, arcs), goal, step, turn)
+
+    def _meant(self, shown: ShownPath) -> tuple[ShownPath, Array]:
+        """Return the path of least jerk through the via points, and the arc lengths (V,) [m] of those and its ends."""
+        count = self.via_points + 2
+        share = np.rint(np.linspace(0.0, len(shown.places.points) - 1, count)).astype(int)
+        times, spline = least_jerk(shown.places.points[share])
+        fine = np.linspace(0.0, times[-1], 4 * len(shown.places.points))
+        points = np.asarray(spline(fine))
+        # Between two via points the tool is turned as on the path shown, at the same share of the way.
+        index = np.rint(np.interp(fine, times, share)).astype(int)
+        path = ShownPath.along(pose.make(points, shown.quaternions[index]))
+        return path, np.interp(times, fine, arc_lengths(points))
+
+
+def least_jerk(points: Array) -> tuple[Array, "BSpline"]:
+    """Return times (V,) and the curve of least squared jerk that passes points (V, 3) [m] at those times.
+
+    It is the natural spline of degree five. The times are the lengths of the chords passed.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    times = arc_lengths(points)
+    free = [(3, np.zeros(3)), (4, np.zeros(3))]
+    return times, make_interp_spline(times, points, k=5, bc_type=(free, free))
+
+
+def _minimum_jerk(arcs: Array, path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
+    """Return the next place plus what is left there of the offset, between via points at arc lengths (V,) [m]."""
+    ahead = max(1.0, np.rint(step / path.places.spacing)) * path.places.spacing
+    # By the middle of the coming step, so that at a via point the way to the next one has begun.
+    segment = np.clip(np.searchsorted(arcs, arc + 0.5 * ahead) - 1, 0, len(arcs) - 2)
+    begin, length = arcs[segment], np.diff(arcs)[segment]
+    here, there = (np.clip((at - begin) / length, 0.0, 1.0) for at in (arc, arc + ahead))
+    share = _offset_left(there) / np.maximum(_offset_left(here), 1e-12)
+    offset = positions - path.places.at(arc)
+    return path.places.at(arc + ahead) + share[:, None] * offset
+
+
+def _offset_left(share: Array) -> Array:
+    """Return 1 − (10u³ − 15u⁴ + 6u⁵) for shares u (N,) of the time: the offset left of a motion of minimum jerk."""
+    return (1.0 - share) ** 3 * (1.0 + 3.0 * share + 6.0 * share**2)
