@@ -94,7 +94,7 @@ class MethodReport(ReportModel):
         description="knife: share of the path until the edge stays within the safe angle; 1 if it never does"
     )
     min_blade_distance_m: Range | None = Field(
-        description="knife: least distance on the way from the nearest point of the blade to the person [m]"
+        description="knife: least distance on the way from the nearest point of the blade to the receiver [m]"
     )
     blade_speed_m_s: Range | None = Field(description="knife: largest speed of the blade's tip on the way [m/s]")
 

@@ -18,6 +18,7 @@ METAL = (0.35, 0.36, 0.38, 1.0)
 STEEL = (0.82, 0.84, 0.87, 1.0)
 EDGE = (0.85, 0.25, 0.15, 1.0)
 GRIP = (0.16, 0.11, 0.08, 1.0)
+WOOD = (0.76, 0.60, 0.42, 1.0)
 CLOTH = (0.25, 0.35, 0.55, 1.0)
 SKIN = (0.85, 0.66, 0.53, 1.0)
 # Lines along the blade, from edge to spine, whose distance to the receiver is taken as the blade's.
@@ -32,6 +33,14 @@ class Limb(Settings):
     end: Vector3
     radius_m: float = Field(gt=0)
     skin: bool
+
+
+class Block(Settings):
+    """A piece of furniture: a box along the axes of UR Base."""
+
+    name: str
+    center_m: Vector3
+    size_m: Vector3
 
 
 class KnifeTask(Task):
@@ -53,6 +62,7 @@ class KnifeTask(Task):
     turn_from: Fraction = Field(description="share of the path shown at which the turn begins")
     turn_until: Fraction = Field(description="share of the path shown at which the turn is made")
     receiver: Annotated[tuple[Limb, ...], Strict(False), Field(min_length=1)]
+    furniture: Annotated[tuple[Block, ...], Strict(False)]
 
     @model_validator(mode="after")
     def _check_edge(self) -> "KnifeTask":
@@ -69,9 +79,8 @@ class KnifeTask(Task):
         return "learned"
 
     def turned(self, share: Array) -> Array:
-        """Return the share (N,) of the turn that is made at shares (N,) of the path shown: a smooth step 3u² − 2u³."""
-        u = np.clip((share - self.turn_from) / (self.turn_until - self.turn_from), 0.0, 1.0)
-        return np.asarray(u**2 * (3.0 - 2.0 * u))
+        """Return the share (N,) of the turn that is made at shares (N,) of the path shown: evenly in between."""
+        return np.asarray(np.clip((share - self.turn_from) / (self.turn_until - self.turn_from), 0.0, 1.0))
 
     @property
     def rule(self) -> str:
@@ -144,6 +153,9 @@ class KnifeTask(Task):
         scene.tool_cylinder(
             "handle", (0.0, 0.0, end), (0.0, 0.0, end + self.handle_length_m), 0.012, GRIP, mass=0.08, payload=True
         )
+        for block in self.furniture:
+            half_size = (0.5 * np.array(block.size_m)).tolist()
+            scene.furniture_box(block.name, block.center_m, half_size, WOOD)
         for limb in self.receiver:
             rgba = SKIN if limb.skin else CLOTH
             scene.furniture_capsule(f"receiver_{limb.name}", limb.start, limb.end, limb.radius_m, rgba)
