@@ -218,9 +218,13 @@ _COMPARED: Final = (
 def _signed(values: Sequence[float]) -> str:
     if not values:
         return "–"
-    # Rounded differences have no −0.0.
-    low, mean, high = (f"{value + 0.0:+.1f}".replace("-", "−") for value in (min(values), fmean(values), max(values)))
+    low, mean, high = (_with_sign(value) for value in (min(values), fmean(values), max(values)))
     return mean if low == high else f"{mean} ({low} to {high})"
+
+
+def _with_sign(value: float) -> str:
+    text = f"{value:+.1f}".replace("-", "−")
+    return "0.0" if text in ("+0.0", "−0.0") else text
 
 
 def with_tables(page: str, results: Sequence[Result], paper: Mapping[str, PaperRun]) -> str:

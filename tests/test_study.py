@@ -261,9 +261,9 @@ def test_lines_are_compared_seed_by_seed() -> None:
     found = dict(zip(cells(head), cells(row), strict=True))
     assert found["seeds"] == "1–2"
     assert found["success [points]"] == "+15.0 (+10.0 to +20.0)"
-    assert found["deviation [mm]"] == "+0.0 (−1.0 to +1.0)"
+    assert found["deviation [mm]"] == "0.0 (−1.0 to +1.0)"
     assert found["p95 of largest [mm]"] == "–"
-    assert found["turn [°]"] == "+0.0"
+    assert found["turn [°]"] == "0.0"
     assert (found["in every seed it adds"], found["in every seed it costs"]) == ("success", "nothing")
     _, _, row = comparison_table([*with_it, *without], (Comparison("", "other", DEFAULT),)).splitlines()
     assert cells(row)[-2:] == ["nothing", "success"]
