@@ -54,11 +54,12 @@ class Row:
     evaluated: int
 
 
-Format = Literal["count", "share", "mm", "seconds"]
+Format = Literal["count", "share", "mm", "degrees", "seconds"]
 _FORMATS: Final[dict[Format, Callable[[float], str]]] = {
     "count": lambda value: f"{value:,.0f}",
     "share": lambda value: f"{100 * value:.1f}".removesuffix(".0"),
     "mm": lambda value: f"{value:.1f}",
+    "degrees": lambda value: f"{value:.1f}",
     "seconds": lambda value: f"{value:.0f}",
 }
 

@@ -1,10 +1,12 @@
 """Learns from the demonstrations of a finished training alone, and measures what was learned as `koopdqn eval` would.
 
-    python scripts/imitate.py cloning run=DIR out=DIR
+    python scripts/imitate.py cloning run=DIR out=DIR [eval.seed=4100]
 
-The method is behavioural cloning or SQIL, with the training's own network, seed, demonstrations and step limit; its
-intent model only says how much of the paths lies within the trust domain. ``out`` receives ``imitation.json`` (what
-learning took) and ``eval.json`` (without baselines and dynamics).
+The method is behavioural cloning, cloning with noise, HG-DAgger, SQIL, a DMP or a ProMP, with the training's own
+network, seed, demonstrations, start frame and step limit; its intent model only says how much of the paths lies within
+the trust domain. HG-DAgger asks as many questions as the training did. ``out`` receives ``imitation.json`` (what
+learning took) and ``eval.json`` (without baselines and dynamics; of a movement primitive, whose path is followed
+instead of chosen action by action, the keys of a method alone).
 """
 
 import argparse
@@ -15,31 +17,36 @@ from time import monotonic
 from typing import Any, Final
 
 import numpy as np
+from primitives import PRIMITIVES, Primitive, learn
 
 from koopdqn.commands import stages
 from koopdqn.commands.configuration import Configuration
 from koopdqn.config.compose import composed
 from koopdqn.config.overrides import prepare
+from koopdqn.demonstrations.resample import to_step
 from koopdqn.exit_status import guard
 from koopdqn.files import read_json, write_json
+from koopdqn.imitation.imitator import Imitator
 from koopdqn.intent.fitting import agent_steps
-from koopdqn.intent.storage import read_intent
-from koopdqn.rollout import SUCCESS, Controller, roll_out
+from koopdqn.intent.storage import StoredIntent, read_intent
+from koopdqn.pose import Array
+from koopdqn.rollout import SUCCESS, Controller, follow, roll_out
+from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.workcell import Workcell
 
-METHODS: Final = ("cloning", "sqil")
+METHODS: Final = ("cloning", "cloning-noise", "hg-dagger", "sqil", *PRIMITIVES)
 IMITATION: Final = "imitation.json"
 # The random stream of a training's own checks, so that the starts are the same.
 _CHECK_STREAM: Final = 3
 
 
-def configuration_of(run: Path) -> Configuration:
+def configuration_of(run: Path, overrides: Sequence[str] = ()) -> Configuration:
     """Return the config with which a training's run folder was made, set for evaluating it.
 
     Raises:
-        BadInputError: the folder holds no training.
+        BadInputError: the folder holds no training, or an override is none of evaluating.
     """
-    prepared = prepare("eval", [f"run={run}", "out=unused", "eval.dynamics=false", "eval.baselines=false"])
+    prepared = prepare("eval", [f"run={run}", "out=unused", "eval.dynamics=false", "eval.baselines=false", *overrides])
     config = composed(prepared.overrides)
     return Configuration.load({key: config[key] for key in config if key != "hydra"})
 
@@ -56,50 +63,105 @@ def checked_by(config: Configuration, workcell: Workcell, step_limit: int) -> Ca
     return check
 
 
-def imitate(method: str, run: Path, folder: Path) -> dict[str, Any]:
+def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Learn by a method from a training's demonstrations, measure it, and return the content of ``eval.json``.
 
     Raises:
-        BadInputError: a file of the training is missing or damaged.
+        BadInputError: a file of the training is missing or damaged, or an override is none of evaluating.
     """
     import torch
 
-    from koopdqn.environment.reward import IntentReward
-    from koopdqn.evaluation.evaluate import evaluate
-    from koopdqn.evaluation.schema import EvaluationFile
-    from koopdqn.imitation.cloning import clone
-    from koopdqn.imitation.sqil import Sqil
-
-    config = configuration_of(run)
+    config = configuration_of(run, overrides)
     torch.set_num_threads(config.train.threads)
     workcell = stages.open_scene(config)
     demonstrations = stages.demonstrations_of(config, run)
     intent = read_intent(run / stages.INTENT, config.task)
     trajectories = agent_steps(demonstrations, config.task)
-    step_limit = int(read_json(run / "train.json", "the training report")["step_limit"])
-    seed, began = config.inputs.seed, monotonic()
-    if method == "cloning":
-        learned = clone(trajectories, config.task, config.agent, seed)
+    trained = read_json(run / "train.json", "the training report")
+    step_limit, questions = int(trained["step_limit"]), int(trained["oracle_queries"])
+    about = {"method": method, "seed": config.inputs.seed, "made_from": {"demonstrations": demonstrations.digest()}}
+    began = monotonic()
+    content: dict[str, Any]
+    if method in PRIMITIVES:
+        primitive = learn(method, trajectories)
+        about |= {"seconds": monotonic() - began, "updates": 0, "env_steps": 0, "oracle_queries": 0}
+        content = _followed(primitive, workcell, config, intent, step_limit)
     else:
-        sqil = Sqil(workcell, trajectories, config.agent, seed, step_limit)
-        learned = sqil.run(check=checked_by(config, workcell, step_limit), check_every=config.train.check_every)
-    seconds = monotonic() - began
-    reward = IntentReward(config.task, intent.model, intent.trust, config.reward)
-    evaluation = evaluate(workcell, learned.policy, reward, trajectories, config.eval, step_limit).report
-    content: dict[str, Any] = EvaluationFile.model_validate({**evaluation, "run": str(run)}).model_dump(mode="json")
+        learned = _learned(method, workcell, config, intent, trajectories, step_limit, questions)
+        about |= {"seconds": monotonic() - began, "updates": learned.updates, "env_steps": learned.env_steps}
+        about["oracle_queries"] = learned.questions
+        content = _evaluated(learned, workcell, config, intent, trajectories, step_limit, run)
     folder.mkdir(parents=True, exist_ok=True)
-    about = {
-        "method": method,
-        "seed": seed,
-        "seconds": seconds,
-        "updates": learned.updates,
-        "env_steps": learned.env_steps,
-        "made_from": {"demonstrations": demonstrations.digest()},
-    }
     write_json(folder / IMITATION, about)
     # Last: it is the sign that all was made.
     write_json(folder / "eval.json", content)
     return content
+
+
+def _learned(
+    method: str,
+    workcell: Workcell,
+    config: Configuration,
+    intent: StoredIntent,
+    trajectories: list[Array],
+    step_limit: int,
+    questions: int,
+) -> Imitator:
+    from koopdqn.imitation.cloning import Noise, clone
+    from koopdqn.imitation.hg_dagger import HgDagger
+    from koopdqn.imitation.sqil import Sqil
+
+    seed, frame = config.inputs.seed, intent.model.start_frame
+    if method == "hg-dagger":
+        return HgDagger(workcell, trajectories, config.agent, seed, step_limit, frame).run(questions)
+    if method == "sqil":
+        sqil = Sqil(workcell, trajectories, config.agent, seed, step_limit, frame=frame)
+        return sqil.run(check=checked_by(config, workcell, step_limit), check_every=config.train.check_every)
+    # As far as the default strews where its own episodes begin.
+    near = Noise(config.agent.exploring_spread_m, config.agent.exploring_spread_rad)
+    noise = near if method == "cloning-noise" else None
+    return clone(trajectories, config.task, config.agent, seed, frame=frame, noise=noise)
+
+
+def _evaluated(
+    learned: Imitator,
+    workcell: Workcell,
+    config: Configuration,
+    intent: StoredIntent,
+    trajectories: list[Array],
+    step_limit: int,
+    run: Path,
+) -> dict[str, Any]:
+    from koopdqn.environment.reward import IntentReward
+    from koopdqn.evaluation.evaluate import evaluate
+    from koopdqn.evaluation.schema import EvaluationFile
+
+    reward = IntentReward(config.task, intent.model, intent.trust, config.reward)
+    evaluation = evaluate(workcell, learned.policy, reward, trajectories, config.eval, step_limit).report
+    return EvaluationFile.model_validate({**evaluation, "run": str(run)}).model_dump(mode="json")
+
+
+def _followed(
+    primitive: Primitive, workcell: Workcell, config: Configuration, intent: StoredIntent, step_limit: int
+) -> dict[str, Any]:
+    """Return what is measured of following a primitive's paths, at the agent's step, from the held-out starts."""
+    from koopdqn.evaluation.baselines import straight_path
+    from koopdqn.evaluation.evaluate import drawn_starts
+    from koopdqn.evaluation.metrics import measure
+    from koopdqn.evaluation.references import reference_paths
+
+    task, reachability = workcell.task, workcell.reachability
+    starts, joints, _ = drawn_starts(workcell, config.eval)
+    paths = []
+    for start in starts:
+        path = primitive(start, task.goal)
+        # A ProMP of few demonstrations cannot begin everywhere.
+        whole = np.concatenate([straight_path(start, path[0], task)[:-1], path])
+        paths.append(to_step(whole, task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad))
+    episodes = follow(paths, task, reachability, joints)
+    references = reference_paths(task, starts, step_limit)
+    report = measure(episodes, references, task, intent.trust, intent.model.start_frame, reachability)
+    return report.model_dump(mode="json")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -108,10 +170,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("method", choices=METHODS)
     parser.add_argument("run", type=lambda text: Path(text.removeprefix("run=")), help="run=DIR, the training")
     parser.add_argument("out", type=lambda text: Path(text.removeprefix("out=")), help="out=DIR, for the results")
+    parser.add_argument("overrides", nargs="*", help="what the evaluation changes, like eval.seed=4100")
     given = parser.parse_args(arguments)
 
     def work() -> int:
-        found = imitate(given.method, given.run, given.out)
+        found = imitate(given.method, given.run, given.out, given.overrides)
         print(f"{given.method}: success {found['success_rate']:.0%}, see {given.out}")
         return 0
 

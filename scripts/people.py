@@ -10,28 +10,40 @@ import argparse
 import csv
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import measured_runs
 import numpy as np
+from primitives import PRIMITIVES, learn
+from rich import box
 from rich.table import Table
 
 from koopdqn import console, pose
 from koopdqn.demonstrations.csv import read_csv
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.resample import to_count
+from koopdqn.demonstrations.resample import mean_poses, to_count
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 
 LEAST = 3
 """Demonstrations of a set worth measuring: two to learn from and one held out."""
-METHODS = ("policy", "greedy", "nearest_demonstration", "dmp", "promp")
+METHODS = {
+    "policy": "policy",
+    "greedy": "greedy",
+    "nearest_velocity": "velocity",
+    "mean_tangent": "tangent",
+    "nearest_demonstration": "replay",
+    "dmp": "DMP",
+    "promp": "ProMP",
+}
+"""What is compared, by its key in a result, and what its column is called."""
+_TURNING = [method for method in METHODS if method not in PRIMITIVES]
+_LEARNING = ("folds", "learned", "success", "seconds", "asked", "right")
 _SAMPLES = 200
-_WEIGHTS = 50
 _NANOSECONDS = 1e-9
 
 
@@ -118,7 +130,7 @@ def _figures(train: dict[str, Any], report: dict[str, Any], run: Path) -> dict[s
     held = report["holdout"]
     beside = {"policy": held["policy"], **held["baselines"]}
     kept = read_hdf5(run / "demos.hdf5")
-    *others, last = (to_count(item.poses, _SAMPLES)[:, pose.POSITION] for item in kept.items)
+    *others, last = (to_count(item.poses, _SAMPLES) for item in kept.items)
     apart = {name: float(values[0]) for name, values in held["hausdorff_mm"].items()}
     return {
         "learned": train["learned"],
@@ -133,23 +145,14 @@ def _figures(train: dict[str, Any], report: dict[str, Any], run: Path) -> dict[s
 
 
 def _primitives(shown: Sequence[Array], held_out: Array) -> dict[str, float]:
-    """Return the Hausdorff distance [mm] of movement primitives of positions (N, 3), from start and to goal given."""
-    from movement_primitives.dmp import DMP
-    from movement_primitives.promp import ProMP
-
+    """Return the Hausdorff distance [mm] of movement primitives of poses (N, 7), from start and to goal given."""
     from koopdqn.tasks.path import hausdorff
 
-    times, together = np.linspace(0.0, 1.0, len(held_out)), np.array(shown)
-    start, goal = held_out[0], together[:, -1].mean(axis=0)
-    dmp = DMP(n_dims=3, execution_time=1.0, dt=1.0 / (len(times) - 1), n_weights_per_dim=_WEIGHTS)
-    dmp.imitate(times, together.mean(axis=0))
-    dmp.configure(start_y=start, goal_y=goal)
-    promp = ProMP(n_dims=3, n_weights_per_dim=30)
-    promp.imitate(np.tile(times, (len(together), 1)), together)
-    sure = 1e-6 * np.eye(3)
-    promp = promp.condition_position(start, y_cov=sure, t=0.0).condition_position(goal, y_cov=sure, t=1.0)
-    paths = {"dmp": dmp.open_loop()[1], "promp": promp.mean_trajectory(times)}
-    return {name: 1e3 * hausdorff(path, held_out) for name, path in paths.items()}
+    goal, found = mean_poses(list(shown), len(shown[0]))[-1], {}
+    for name in PRIMITIVES:
+        path = learn(name, shown)(held_out[0], goal)
+        found[name] = 1e3 * hausdorff(path[:, pose.POSITION], held_out[:, pose.POSITION])
+    return found
 
 
 def _last_line(log: Path) -> str:
@@ -157,17 +160,11 @@ def _last_line(log: Path) -> str:
     return lines[-1] if lines else "nothing was printed"
 
 
-def tables(results: list[dict[str, Any]]) -> tuple[Table, Table]:
-    """Return what learning took, and how far every method is from what was held out: a row a set, medians of folds."""
-    learning = Table(title="Each demonstration held out in turn; medians over folds, the least success")
-    apart = Table(title="Hausdorff distance from the one held out in mm, mean turn off it in °")
-    for found, headings in (
-        (learning, ("folds", "learned", "success", "seconds", "asked", "right")),
-        (apart, ("policy", "greedy", "replay", "DMP", "ProMP", "turn", "replay's")),
-    ):
-        found.add_column("set")
-        for heading in headings:
-            found.add_column(heading, justify="right", no_wrap=True)
+def tables(results: list[dict[str, Any]]) -> tuple[Table, ...]:
+    """Return what learning took, and how far and how turned every method is from what was held out: a row a set."""
+    learning = _table("Each demonstration held out in turn; medians over folds, the least success", _LEARNING)
+    apart = _table("Hausdorff distance from the one held out in mm", METHODS.values())
+    turned = _table("Mean turn off the one held out in °", [METHODS[method] for method in _TURNING])
     for name in dict.fromkeys(result["set"] for result in results):
         rows = [result for result in results if result["set"] == name]
         done = [result for result in rows if "failed" not in result]
@@ -184,10 +181,18 @@ def tables(results: list[dict[str, Any]]) -> tuple[Table, Table]:
             f"{_median([row['questions'] for row in done]):.0f}",
             f"{_median([row['trusted_right'] for row in done]):.1%}",
         )
-        distances = [_median([row["hausdorff_mm"][method] for row in done]) for method in METHODS]
-        turns = [_median([row["rotation_deviation_deg"][m] for row in done]) for m in (METHODS[0], METHODS[2])]
-        apart.add_row(label, *(f"{value:.1f}" for value in (*distances, *turns)))
-    return learning, apart
+        for found, key, methods in ((apart, "hausdorff_mm", METHODS), (turned, "rotation_deviation_deg", _TURNING)):
+            medians = [_median([row[key][method] for row in done]) for method in methods]
+            found.add_row(label, *(f"{value:.1f}" for value in medians))
+    return learning, apart, turned
+
+
+def _table(title: str, headings: Iterable[str]) -> Table:
+    found = Table(title=title, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    found.add_column("set")
+    for heading in headings:
+        found.add_column(heading, justify="right", no_wrap=True)
+    return found
 
 
 def _median(values: list[float | None]) -> float:

@@ -20,7 +20,7 @@ from typing import Any, Final
 import measured_runs
 from imitate import IMITATION
 from measured_runs import Command, Launch, Training, add_jobs
-from study_lines import LINES, SEEDS, Line
+from study_lines import EVALUATION_SEED, LINES, SEEDS, TASKS, Line
 from study_tables import PaperRun, Result, least_check, with_tables
 
 from koopdqn import console
@@ -33,7 +33,6 @@ FOLDER: Final = Path("runs") / "study"
 PAGE: Final = Path("docs") / "study.md"
 PAPER_RUNS: Final = Path("docs") / "paper_runs.json"
 
-TASKS: Final = ("shelf", "knife")
 _IMITATE: Final = "imitate"
 _NONE: Final = {"trusted": None, "remembered": None}
 
@@ -79,11 +78,11 @@ class Run:
         left, measured = self.training.commands(), self.folder / "eval"
         if not left and (measured / "eval.json").is_file():
             return []
-        inputs = [f"run={self.training.folder}", f"out={measured}"]
+        inputs, starts = [f"run={self.training.folder}", f"out={measured}"], f"eval.seed={EVALUATION_SEED}"
         if self.line.method:
-            return [*left, (_IMITATE, [self.line.method, *inputs])]
+            return [*left, (_IMITATE, [self.line.method, *inputs, starts])]
         beside = f"eval.baselines={str(bool(self.line.baselines)).lower()}"
-        return [*left, ("eval", [*inputs, "eval.dynamics=false", beside, *self.line.evaluation])]
+        return [*left, ("eval", [*inputs, "eval.dynamics=false", starts, beside, *self.line.evaluation])]
 
     def results(self) -> list[Result]:
         """Return the line's result and those of the baselines below it; none if the run is not finished.
@@ -96,7 +95,7 @@ class Run:
         evaluation = read_json(self.folder / "eval" / "eval.json", "the evaluation report")
         if self.line.method:
             about = read_json(self.folder / "eval" / IMITATION, "the imitation report")
-            trained = {**about, "learned": None, "oracle_queries": 0, "reward_agreement": _NONE}
+            trained = {**about, "learned": None, "reward_agreement": _NONE}
             return [self._result(self.line.name, evaluation, trained, None)]
         trained = read_json(self.training.folder / "train.json", "the training report")
         results = [self._result(self.line.name, evaluation, trained, least_check(trained))]
@@ -122,6 +121,7 @@ class Run:
             success_rate=measured["success_rate"],
             path_deviation_mm=measured["path_deviation_mm"]["mean"],
             p95_of_max_mm=measured["path_deviation_mm"]["p95_of_max"],
+            rotation_deviation_deg=measured["rotation_deviation_deg"]["mean"],
             questions=trained["oracle_queries"],
             trusted=trained["reward_agreement"]["trusted"],
             remembered=trained["reward_agreement"]["remembered"],
@@ -211,7 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the arguments name, and write all that is measured so far."""
     names = [line.name for line in LINES]
     parser = argparse.ArgumentParser(description="Measure the default preset beside what it stands against.")
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS), help="default: both")
+    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS), help="default: all")
     parser.add_argument("--rows", nargs="+", choices=names, default=names, metavar="NAME", help="default: all")
     parser.add_argument("--seeds", nargs="+", type=int, choices=SEEDS, default=list(SEEDS), help="default: all")
     parser.add_argument("--minutes", type=float, help="begin no new run after that time; default: no limit")

@@ -4,6 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+TASKS: Final = ("shelf", "knife")
+EVALUATION_SEED: Final = 4100
+"""Of the held-out starts; nothing was ever tuned on it, nor on the seeds of the trainings."""
 SEEDS: Final = tuple(range(100, 110))
 FEW: Final = SEEDS[:3]
 """Of lines whose single run takes minutes."""
@@ -29,7 +32,7 @@ class Line:
     overrides: tuple[str, ...] = ()
     evaluation: tuple[str, ...] = ()
     of: str = ""
-    method: Literal["", "cloning", "sqil"] = ""
+    method: Literal["", "cloning", "cloning-noise", "hg-dagger", "sqil", "dmp", "promp"] = ""
     baselines: Mapping[str, str] = field(default_factory=dict)
     seeds: tuple[int, ...] = SEEDS
 
@@ -46,6 +49,8 @@ LINES: Final = (
         baselines={
             "greedy": "greedy on the intent model",
             "argmax_reward": "argmax of the reward, no network",
+            "nearest_velocity": "greedy, K replaced by the nearest demonstrated pose's velocity",
+            "mean_tangent": "greedy, K replaced by the mean demonstration's tangent",
             "floor": "the action nearest to the person's next pose",
             "mean_demonstration": "mean demonstration replayed",
             "nearest_demonstration": "nearest demonstration replayed",
@@ -53,7 +58,11 @@ LINES: Final = (
             "straight_line": "straight line to the goal",
         },
     ),
+    Line("dmp", "DMP of the mean demonstration", of=DEFAULT, method="dmp"),
+    Line("promp", "ProMP of the demonstrations", of=DEFAULT, method="promp"),
     Line("cloning", "behavioural cloning from observation", of=DEFAULT, method="cloning"),
+    Line("cloning-noise", "behavioural cloning with noise augmentation", of=DEFAULT, method="cloning-noise"),
+    Line("hg-dagger", "HG-DAgger, as many questions as the default", of=DEFAULT, method="hg-dagger"),
     Line("sqil", "SQIL on the same network", of=DEFAULT, method="sqil", seeds=FEW),
     Line("gamma-0", "no look-ahead", ("agent.gamma=0.0",)),
     Line(
@@ -62,7 +71,13 @@ LINES: Final = (
         ("trust=nowhere", "agent.trials=chosen", "feedback.extend=false", "feedback.remember_m=0.0"),
         seeds=FEW,
     ),
+    Line("trust-everywhere", "nobody is asked, the intent model is trusted everywhere", ("trust=everywhere",)),
     Line("wrong-answers", "one answer in twenty wrong", ("oracle=noisy", "oracle.wrong=0.05")),
+    Line(
+        "noisy-100",
+        "ten answers in a hundred wrong, a yes counts no farther than 15 mm: at least a hundred questions",
+        ("oracle=noisy", "oracle.wrong=0.1", "feedback.reach_m=0.015"),
+    ),
     Line(
         "wide",
         "the default, starts three times wider",
@@ -78,3 +93,39 @@ LINES: Final = (
     ),
 )
 PAPER: Final = "the paper preset"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two lines, or baselines below one, that differ in what is to be shown, with the same seeds.
+
+    Attributes:
+        question: what their difference answers.
+        line: name of the one with it.
+        beside: name of the one without it.
+    """
+
+    question: str
+    line: str
+    beside: str
+
+
+_DEFAULT: Final = LINES[0]
+COMPARISONS: Final = (
+    Comparison(
+        "what K adds over the nearest demonstrated pose's velocity",
+        _DEFAULT.named("greedy"),
+        _DEFAULT.named("nearest_velocity"),
+    ),
+    Comparison(
+        "what K adds over the mean demonstration's tangent", _DEFAULT.named("greedy"), _DEFAULT.named("mean_tangent")
+    ),
+    Comparison("what the network adds over argmax of the reward", DEFAULT, _DEFAULT.named("argmax_reward")),
+    Comparison("what learning adds over greedy on the intent model", DEFAULT, _DEFAULT.named("greedy")),
+    Comparison("what asking adds over trusting everywhere", DEFAULT, "trust-everywhere"),
+    Comparison("the default over the nearest demonstration replayed", DEFAULT, _DEFAULT.named("nearest_demonstration")),
+    Comparison("the default over a DMP", DEFAULT, "dmp"),
+    Comparison("the default over a ProMP", DEFAULT, "promp"),
+    Comparison("the default over cloning with noise", DEFAULT, "cloning-noise"),
+    Comparison("the default over HG-DAgger", DEFAULT, "hg-dagger"),
+)

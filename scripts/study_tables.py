@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from ablation_tables import Format, shown
 from pydantic import Field
-from study_lines import LINES, PAPER, Line
+from study_lines import COMPARISONS, LINES, PAPER, Comparison, Line
 
 from docs import replaced, rows_table
 from koopdqn.config.settings import Fraction, NonNegative, NonNegativeInt, Settings
@@ -23,6 +23,7 @@ HEADS: Final = (
     "success [%]",
     "deviation [mm]",
     "p95 of largest [mm]",
+    "turn [°]",
     "questions",
     "trusted right [%]",
     "remembered right [%]",
@@ -43,6 +44,7 @@ class Result:
         success_rate: share of the held-out starts from which it succeeds.
         path_deviation_mm: mean distance from the demonstrator's path [mm].
         p95_of_max_mm: 95th percentile over episodes of the largest such distance [mm].
+        rotation_deviation_deg: mean angle to the demonstrator's orientation [deg].
         questions: questions that reached the oracle.
         trusted: share of the trusted model's rewards that the demonstrator agrees with.
         remembered: the same of remembered answers.
@@ -59,6 +61,7 @@ class Result:
     success_rate: float
     path_deviation_mm: float | None
     p95_of_max_mm: float | None
+    rotation_deviation_deg: float | None
     questions: int
     trusted: float | None
     remembered: float | None
@@ -117,6 +120,7 @@ def _row(about: str, config: str, results: Sequence[Result]) -> list[list[str]]:
             _with(shown(fmean(success), "share"), shown(min(success), "share")),
             _mean([result.path_deviation_mm for result in results], "mm"),
             _mean([result.p95_of_max_mm for result in results], "mm"),
+            _mean([result.rotation_deviation_deg for result in results], "degrees"),
             _with(shown(median(questions), "count"), shown(max(questions), "count")),
             _mean([result.trusted for result in results], "share"),
             _mean([result.remembered for result in results], "share"),
@@ -137,6 +141,7 @@ def _paper_row(paper: PaperRun | None) -> list[str]:
         shown(paper.success_rate, "share"),
         shown(paper.path_deviation_mm, "mm"),
         "–",
+        "–",
         shown(paper.questions, "count"),
         *["–"] * 3,
         shown(paper.seconds, "seconds"),
@@ -152,8 +157,78 @@ def _mean(values: Sequence[float | None], kind: Format) -> str:
     return shown(fmean(known) if known else None, kind)
 
 
+def comparison_table(results: Sequence[Result], comparisons: Sequence[Comparison] = COMPARISONS) -> str:
+    """Return the Markdown table of what one line of a task adds over another, seed by seed; no rows without both.
+
+    A difference is the one's less the other's. Where in every seed it is better, to the digit shown, it is said to add
+    something, where it is worse in every seed, to cost something; what differs in some seeds only is said of neither.
+    """
+    found = {(result.line, result.seed): result for result in results}
+    rows = []
+    for each in comparisons:
+        seeds = [seed for line, seed in found if line == each.line and (each.beside, seed) in found]
+        if not seeds:
+            continue
+        cells, adds, costs = [], [], []
+        for quantity in _COMPARED:
+            apart = [quantity.difference(found[each.line, seed], found[each.beside, seed]) for seed in seeds]
+            known = [value for value in apart if value is not None]
+            cells.append(_signed(known))
+            if known and all(quantity.sign * value > 0 for value in known):
+                adds.append(quantity.name)
+            if known and all(quantity.sign * value < 0 for value in known):
+                costs.append(quantity.name)
+        rows.append([each.question, _seeds(seeds), *cells, ", ".join(adds) or "nothing", ", ".join(costs) or "nothing"])
+    heads = [f"{quantity.name} [{quantity.unit}]" for quantity in _COMPARED]
+    return rows_table(("question", "seeds", *heads, "in every seed it adds", "in every seed it costs"), rows)
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    """What is compared.
+
+    Attributes:
+        name: of the quantity.
+        unit: of the difference.
+        field: of :class:`Result`.
+        scale: to the unit.
+        sign: 1 if more is better, −1 if less is.
+    """
+
+    name: str
+    unit: str
+    field: str
+    scale: float
+    sign: int
+
+    def difference(self, one: Result, other: Result) -> float | None:
+        """Return the one's less the other's, to the digit shown; None where it is not known of both."""
+        values = getattr(one, self.field), getattr(other, self.field)
+        return None if None in values else round(self.scale * (values[0] - values[1]), 1)
+
+
+_COMPARED: Final = (
+    _Quantity("success", "points", "success_rate", 100.0, 1),
+    _Quantity("deviation", "mm", "path_deviation_mm", 1.0, -1),
+    _Quantity("p95 of largest", "mm", "p95_of_max_mm", 1.0, -1),
+    _Quantity("turn", "°", "rotation_deviation_deg", 1.0, -1),
+)
+
+
+def _signed(values: Sequence[float]) -> str:
+    if not values:
+        return "–"
+    low, mean, high = (_with_sign(value) for value in (min(values), fmean(values), max(values)))
+    return mean if low == high else f"{mean} ({low} to {high})"
+
+
+def _with_sign(value: float) -> str:
+    text = f"{value:+.1f}".replace("-", "−")
+    return "0.0" if text in ("+0.0", "−0.0") else text
+
+
 def with_tables(page: str, results: Sequence[Result], paper: Mapping[str, PaperRun]) -> str:
-    """Return the page with its generated part replaced by a table for every task of the results; the rest stays.
+    """Return the page with its generated part replaced by two tables for every task of the results; the rest stays.
 
     Raises:
         BadInputError: the page does not hold that part once.
@@ -162,6 +237,7 @@ def with_tables(page: str, results: Sequence[Result], paper: Mapping[str, PaperR
     for task in dict.fromkeys(result.task for result in results):
         own = [result for result in results if result.task == task]
         parts.append(f"### {task}\n\n{table(own, paper.get(task))}")
+        parts.append(f"What one adds over the other on the {task}:\n\n{comparison_table(own)}")
     try:
         return replaced(page, PART, "\n\n".join(parts))
     except ValueError as error:

@@ -21,12 +21,13 @@ import study
 from imitate import IMITATION, METHODS
 from measured_runs import carry_out
 from study import Run
-from study_lines import DEFAULT, LINES, SEEDS, Line
-from study_tables import PaperRun, Result, least_check, table, with_tables
+from study_lines import COMPARISONS, DEFAULT, EVALUATION_SEED, LINES, SEEDS, TASKS, Comparison, Line
+from study_tables import PaperRun, Result, comparison_table, least_check, table, with_tables
 
 LINE = {line.name: line for line in LINES}
 MEASURED = tuple(Baselines.model_fields)
 SHA = "0" * 64
+STARTS = f"eval.seed={EVALUATION_SEED}"
 RESULT = Result(
     task="shelf",
     line=DEFAULT,
@@ -35,6 +36,7 @@ RESULT = Result(
     success_rate=1.0,
     path_deviation_mm=5.0,
     p95_of_max_mm=14.0,
+    rotation_deviation_deg=2.0,
     questions=10,
     trusted=0.99,
     remembered=None,
@@ -74,11 +76,12 @@ class Launcher:
         method = {
             "success_rate": 0.9,
             "path_deviation_mm": {"mean": 5.0, "p95_of_max": 14.0},
+            "rotation_deviation_deg": {"mean": 2.0},
             "failures": {"collision": 10, "stuck": 0},
         }
         baselines = dict.fromkeys(MEASURED, method) if given.get("eval.baselines") == "true" else None
         if command == "imitate":
-            write(folder / IMITATION, {"seconds": 3.0, "made_from": self._made_from})
+            write(folder / IMITATION, {"seconds": 3.0, "oracle_queries": 5, "made_from": self._made_from})
         write(folder / "eval.json", {**method, "baselines": baselines})
         return 0
 
@@ -106,7 +109,7 @@ def test_lines_have_names_of_their_own_and_those_without_a_training_name_one() -
         assert line.method in ("", *METHODS)
 
 
-@pytest.mark.parametrize("task", study.TASKS)
+@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("line", LINES, ids=lambda line: line.name)
 def test_every_line_is_a_valid_config(task: str, line: Line) -> None:
     from hydra import compose, initialize_config_dir
@@ -132,7 +135,7 @@ def test_a_run_trains_then_evaluates_and_is_not_made_again(tmp_path: Path) -> No
     train, measured = run.folder / "train", run.folder / "eval"
     assert launcher.calls == [
         ("train", ["task=shelf", "agent.gamma=0.0", "seed=1", f"out={train}"]),
-        ("eval", [f"run={train}", f"out={measured}", "eval.dynamics=false", "eval.baselines=false"]),
+        ("eval", [f"run={train}", f"out={measured}", "eval.dynamics=false", STARTS, "eval.baselines=false"]),
     ]
     assert [(result.line, result.seed, result.questions) for result in run.results()] == [("gamma-0", 1, 7)]
     assert carry_out(run, launcher) == ""
@@ -147,7 +150,9 @@ def test_lines_of_the_default_measure_its_training_and_make_it_if_it_is_missing(
     assert carry_out(default, launcher) == ""
     assert [command for command, _ in launcher.calls][2:] == ["eval"]
     assert f"run={default.folder / 'train'}" in launcher.calls[1][1]
+    assert launcher.calls[1][1][-1 if name in METHODS else 3] == STARTS
     assert {result.demonstrations for result in run.results()} == {SHA}
+    assert run.results()[0].questions == (5 if name in METHODS else 7)
 
 
 @pytest.mark.parametrize("name", [DEFAULT, "wide"])
@@ -155,7 +160,7 @@ def test_the_baselines_below_a_line_are_measured_with_it(tmp_path: Path, name: s
     line, launcher = LINE[name], Launcher()
     run = Run("shelf", line, 0, tmp_path)
     carry_out(run, launcher)
-    assert launcher.calls[1][1][2:] == ["eval.dynamics=false", "eval.baselines=true", *line.evaluation]
+    assert launcher.calls[1][1][2:] == ["eval.dynamics=false", STARTS, "eval.baselines=true", *line.evaluation]
     results = run.results()
     assert line.baselines
     assert [result.line for result in results] == [name, *map(line.named, line.baselines)]
@@ -243,6 +248,38 @@ def test_a_line_of_the_table_is_over_its_seeds() -> None:
     kept = dict(zip(cells(head), cells(paper), strict=True))
     assert (kept["success [%]"], kept["questions"], kept["deviation [mm]"]) == ("25", "4,321", "70.0")
     assert kept["learned"] == "0 of 1 (1,500 episodes)"
+
+
+def test_lines_are_compared_seed_by_seed() -> None:
+    with_it = [replace(RESULT, seed=seed, success_rate=rate) for seed, rate in ((1, 0.9), (2, 1.0), (3, 1.0))]
+    without = [
+        replace(RESULT, line="other", seed=seed, success_rate=0.8, path_deviation_mm=deviation, p95_of_max_mm=None)
+        for seed, deviation in ((1, 6.0), (2, 4.0), (9, 50.0))
+    ]
+    compared = (Comparison("what it adds", DEFAULT, "other"), Comparison("not measured", DEFAULT, "none"))
+    head, _, row = comparison_table([*with_it, *without], compared).splitlines()
+    found = dict(zip(cells(head), cells(row), strict=True))
+    assert found["seeds"] == "1–2"
+    assert found["success [points]"] == "+15.0 (+10.0 to +20.0)"
+    assert found["deviation [mm]"] == "0.0 (−1.0 to +1.0)"
+    assert found["p95 of largest [mm]"] == "–"
+    assert found["turn [°]"] == "0.0"
+    assert (found["in every seed it adds"], found["in every seed it costs"]) == ("success", "nothing")
+    _, _, row = comparison_table([*with_it, *without], (Comparison("", "other", DEFAULT),)).splitlines()
+    assert cells(row)[-2:] == ["nothing", "success"]
+
+
+def test_less_than_the_digit_shown_is_no_difference() -> None:
+    other = replace(RESULT, line="other", path_deviation_mm=5.04)
+    _, _, row = comparison_table([RESULT, other], (Comparison("what it adds", DEFAULT, "other"),)).splitlines()
+    assert cells(row)[-2:] == ["nothing", "nothing"]
+
+
+def test_what_is_compared_is_measured_with_the_same_seeds() -> None:
+    seeds = {line.name: line.seeds for line in LINES}
+    seeds |= {line.named(name): line.seeds for line in LINES for name in line.baselines}
+    for each in COMPARISONS:
+        assert set(seeds[each.line]) & set(seeds[each.beside])
 
 
 @given(st.lists(st.integers(0, 50), min_size=1, unique=True), st.floats(0, 1))

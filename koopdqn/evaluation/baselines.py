@@ -12,6 +12,7 @@ from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.environment.actions import COUNT
 from koopdqn.environment.compare import nearest_actions
 from koopdqn.environment.reward import IntentReward
+from koopdqn.evaluation.without_koopman import MeanTangent, NearestVelocity, Prediction
 from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
@@ -54,15 +55,24 @@ class Greedy:
     Attributes:
         model: the intent model.
         task: gives actions and tolerances.
+        instead: what predicts in K's place, in the model's start frame and with its way of scaling to a step; None
+            for the model itself.
     """
 
     model: IntentModel
     task: Task
+    instead: Prediction | None = None
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        wished = self.model.to_step(poses, self.model.intended(poses, starts), self.task.step_m)
+        wished = self.model.to_step(poses, self._predicted(poses, starts), self.task.step_m)
         return nearest_actions(poses, wished, self.task)
+
+    def _predicted(self, poses: Array, starts: Array) -> Array:
+        if self.instead is None:
+            return self.model.intended(poses, starts)
+        frame = self.model.start_frame
+        return frame.unplaced(self.instead(frame.placed(poses, starts)), starts, poses)
 
 
 def greedy(workcell: Workcell, model: IntentModel, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
@@ -159,6 +169,10 @@ def without_learning(
     yield "constant_action", constant_action(workcell, *given)
     yield "greedy", greedy(workcell, model, *given)
     yield "argmax_reward", roll_out(BestByReward(reward), task, workcell.reachability, *given)
+    placed = model.start_frame.each(trajectories)
+    for name, instead in (("nearest_velocity", NearestVelocity), ("mean_tangent", MeanTangent)):
+        controller = Greedy(model, task, instead.of(placed, task))
+        yield name, roll_out(controller, task, workcell.reachability, *given)
     yield "nearest_demonstration", nearest_demonstration(workcell, trajectories, starts, joints)
     yield "mean_demonstration", mean_demonstration(workcell, model.start_frame, trajectories, starts, joints)
     yield "floor", floor(workcell, *given)

@@ -50,6 +50,16 @@ def work_units(settings: EvaluationSettings) -> int:
     return methods * settings.episodes + (settings.dynamics_episodes if settings.dynamics else 0)
 
 
+def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> tuple[Array, Array, int]:
+    """Return the held-out starts (N, 7), joints (N, 6) [rad] there, and how many draws were drawn again.
+
+    Raises:
+        BadInputError: hardly any start of the region can be taken.
+    """
+    region = workcell.task.with_starts_scaled(settings.start_scale)
+    return workcell.reachability.draw_starts(region, np.random.default_rng([settings.seed, _STREAM]), settings.episodes)
+
+
 def evaluate(
     workcell: Workcell,
     policy: Controller,
@@ -77,10 +87,7 @@ def evaluate(
         BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
     """
     task = workcell.task
-    rng = np.random.default_rng([settings.seed, _STREAM])
-    starts, joints, redrawn = workcell.reachability.draw_starts(
-        task.with_starts_scaled(settings.start_scale), rng, settings.episodes
-    )
+    starts, joints, redrawn = drawn_starts(workcell, settings)
     references = reference_paths(task, starts, step_limit) if held_out is None else None
     episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
     advance(len(episodes))

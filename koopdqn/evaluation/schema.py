@@ -138,6 +138,14 @@ class Baselines(ReportModel):
     argmax_reward: MethodReport = Field(
         description="always the action of the greatest reward by the intent model, trusted or not, with no network"
     )
+    nearest_velocity: MethodReport = Field(
+        description="greedy with K replaced by the velocity of the nearest demonstrated pose, nearest by position in"
+        " steps and orientation in turns of the agent, told in the intent's start frame; nothing leads back"
+    )
+    mean_tangent: MethodReport = Field(
+        description="greedy with K replaced by the direction of the mean demonstration at its nearest place and the"
+        " orientation a step further on it, told in the intent's start frame; nothing leads back"
+    )
     nearest_demonstration: MethodReport = Field(
         description="straight to the first pose of the demonstration that starts nearest, then its recorded poses"
     )

@@ -1,1 +1,1 @@
-"""Learning from demonstrations alone, without intent model and oracle: what koopdqn is compared with."""
+"""Learning without intent model and reward, from demonstrations and labels: what koopdqn is compared with."""

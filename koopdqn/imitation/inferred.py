@@ -7,35 +7,50 @@ from koopdqn.dqn.replay import Transitions
 from koopdqn.environment.compare import nearest_actions
 from koopdqn.environment.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 
 
-def demonstrated_transitions(trajectories: list[Array], task: Task) -> Transitions:
-    """Return every demonstrated step as a transition with its nearest action and reward 0.
+def demonstrated_steps(trajectories: list[Array], task: Task) -> tuple[Array, Array, Array, np.ndarray]:
+    """Return every demonstrated step: poses (M, 7) before and after, the demonstration's first (M, 7), number (M,).
 
-    A demonstration ends at its first pose that counts as the goal, or else at its last: that transition is terminated.
+    A demonstration ends at its first pose that counts as the goal, or else at its last.
 
     Args:
         trajectories: demonstrated poses (N, 7) at the agent's step, each of at least two.
-        task: gives actions, tolerances and goal.
+        task: gives the goal.
     """
     ended = [trajectory[: _end(trajectory, task) + 1] for trajectory in trajectories]
     before = np.concatenate([trajectory[:-1] for trajectory in ended])
     after = np.concatenate([trajectory[1:] for trajectory in ended])
-    terminated = np.concatenate([np.arange(1, len(trajectory)) == len(trajectory) - 1 for trajectory in ended])
     starts = np.concatenate([np.repeat(trajectory[:1], len(trajectory) - 1, axis=0) for trajectory in ended])
+    return before, after, starts, np.concatenate([np.arange(len(trajectory) - 1) for trajectory in ended])
+
+
+def demonstrated_transitions(trajectories: list[Array], task: Task, frame: StartFrame = STILL) -> Transitions:
+    """Return every demonstrated step as a transition with its nearest action and reward 0.
+
+    The last of a demonstration (:func:`demonstrated_steps`) is terminated.
+
+    Args:
+        trajectories: demonstrated poses (N, 7) at the agent's step, each of at least two.
+        task: gives actions, tolerances and goal.
+        frame: in which poses are observed.
+    """
+    before, after, starts, steps = demonstrated_steps(trajectories, task)
     count = len(before)
     return Transitions(
-        observations=observe(before, task),
+        observations=observe(frame.placed(before, starts), task),
         actions=nearest_actions(before, after, task),
         rewards=np.zeros(count, dtype=np.float32),
-        following=observe(after, task),
-        terminated=terminated,
+        following=observe(frame.placed(after, starts), task),
+        # The next step is the first of another demonstration, or there is none.
+        terminated=np.append(steps[1:] == 0, True),
         truncated=np.zeros(count, dtype=bool),
         undone=np.zeros(count, dtype=bool),
         poses=before,
         starts=starts,
-        steps=np.concatenate([np.arange(len(trajectory) - 1) for trajectory in ended]),
+        steps=steps,
         sources=np.full(count, RULE),
         answers=np.full(count, NO_ANSWER),
     )

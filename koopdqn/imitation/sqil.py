@@ -19,7 +19,7 @@ from koopdqn.environment.reward import NO_ANSWER, RULE
 from koopdqn.imitation.imitator import Imitator
 from koopdqn.imitation.inferred import demonstrated_transitions
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import STILL
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.workcell import Workcell
 
 # Sets its random numbers apart from those of demonstrations (1), training (2), checks (3) and evaluation (4).
@@ -48,6 +48,7 @@ class Sqil:
         seed: int,
         step_limit: int,
         gamma: float = 0.8,
+        frame: StartFrame = STILL,
     ) -> None:
         """Begin.
 
@@ -58,11 +59,13 @@ class Sqil:
             seed: fixes everything.
             step_limit: steps after which an episode is cut.
             gamma: γ; larger than the agent's, since only demonstrated steps are rewarded.
+            frame: in which poses are observed.
         """
         task = workcell.task
         self._workcell = workcell
+        self._frame = frame
         self._agent = agent.model_copy(update={"gamma": gamma})
-        self._shown = demonstrated_transitions(trajectories, task)
+        self._shown = demonstrated_transitions(trajectories, task, frame)
         self._shown = replace(
             self._shown, rewards=np.where(self._shown.terminated, 1.0, 1.0 - gamma).astype(np.float32)
         )
@@ -70,7 +73,7 @@ class Sqil:
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
-        self._starts = start_sampler(workcell, STILL, trajectories, agent, step_limit)
+        self._starts = start_sampler(workcell, frame, frame.each(trajectories), agent, step_limit)
         self._batch = EpisodeBatch.empty(agent.episodes_at_once)
         self._begun = 0
         for index in range(len(self._batch)):
@@ -104,7 +107,7 @@ class Sqil:
         return Imitator(best, self.learner.updates, self.env_steps)
 
     def _policy(self) -> Policy:
-        return Policy(deepcopy(self.learner.policy_network), self._workcell.task)
+        return Policy(deepcopy(self.learner.policy_network), self._workcell.task, self._frame)
 
     def batch(self) -> Transitions:
         """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own.
@@ -128,7 +131,7 @@ class Sqil:
         count = len(batch)
         before, steps = batch.poses.copy(), batch.steps.copy()
         explore = self._explore.random(count) < self._agent.epsilon(self.env_steps)
-        observations = observe(before, task)
+        observations = observe(self._frame.placed(before, batch.starts), task)
         greedy = self.learner.online.values(observations).argmax(axis=1)
         actions = np.where(explore, self._explore.integers(COUNT, size=count), greedy)
         reached = reached_poses(before, task)[np.arange(count), actions]
@@ -143,7 +146,7 @@ class Sqil:
                 actions,
                 # Nothing for the step itself; from then on it stays where the demonstrator would.
                 np.where(arrived, self._agent.gamma, 0.0).astype(np.float32),
-                observe(after, task),
+                observe(self._frame.placed(after, batch.starts), task),
                 terminated=arrived,
                 truncated=cut,
                 undone=np.zeros(count, dtype=bool),
