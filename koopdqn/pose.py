@@ -161,14 +161,14 @@ def rotation_distance(a: ArrayLike, b: ArrayLike) -> Array:
 def turned_toward(quaternion: ArrayLike, goal: ArrayLike, angle: ArrayLike) -> Array:
     """Return quaternions (..., 4) turned by ``angle`` (...) [rad] along the geodesic to ``goal``, clamped there.
 
-    This is unit quaternion interpolation (§3.4). Half a turn away the geodesic is not unique;
-    the sense of the quaternion as given then decides.
+    A negative angle turns away from it. This is unit quaternion interpolation (§3.4). Half a turn away the geodesic is
+    not unique; the sense of the quaternion as given then decides.
     """
     quaternion, goal = np.asarray(quaternion, dtype=float), np.asarray(goal, dtype=float)
     relative = to_rotation_vector(multiply(goal, conjugate(quaternion)))
     total = np.linalg.norm(relative, axis=-1, keepdims=True)
     angle = np.asarray(angle, dtype=float)[..., None]
-    share = np.clip(angle / np.where(total > 0, total, 1.0), 0.0, 1.0)
+    share = np.minimum(angle / np.where(total > 0, total, 1.0), 1.0)
     result = normalized(multiply(from_rotation_vector(share * relative), quaternion))
     return np.where(angle >= total, goal, result)
 

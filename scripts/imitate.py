@@ -157,8 +157,9 @@ def _followed(
         path = primitive(start, task.goal)
         # A ProMP of few demonstrations cannot begin everywhere.
         whole = np.concatenate([straight_path(start, path[0], task)[:-1], path])
-        paths.append(to_step(whole, task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad))
-    episodes = follow(paths, task, reachability, joints)
+        paths.append(whole)
+    stepped = to_step(paths, task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad)
+    episodes = follow(stepped, task, reachability, joints)
     references = reference_paths(task, starts, step_limit)
     report = measure(episodes, references, task, intent.trust, intent.model.start_frame, reachability)
     return report.model_dump(mode="json")

@@ -35,7 +35,7 @@ METHODS = {
     "policy": "policy",
     "greedy": "greedy",
     "nearest_velocity": "velocity",
-    "mean_tangent": "tangent",
+    "mean_pursuit": "pursuit",
     "nearest_demonstration": "replay",
     "dmp": "DMP",
     "promp": "ProMP",

@@ -51,6 +51,7 @@ LINES: Final = (
             "argmax_reward": "argmax of the reward, no network",
             "nearest_velocity": "greedy, K replaced by the nearest demonstrated pose's velocity",
             "mean_tangent": "greedy, K replaced by the mean demonstration's tangent",
+            "mean_pursuit": "greedy, K replaced by pursuit of the mean demonstration",
             "floor": "the action nearest to the person's next pose",
             "mean_demonstration": "mean demonstration replayed",
             "nearest_demonstration": "nearest demonstration replayed",
@@ -119,6 +120,9 @@ COMPARISONS: Final = (
     ),
     Comparison(
         "what K adds over the mean demonstration's tangent", _DEFAULT.named("greedy"), _DEFAULT.named("mean_tangent")
+    ),
+    Comparison(
+        "what K adds over pursuit of the mean demonstration", _DEFAULT.named("greedy"), _DEFAULT.named("mean_pursuit")
     ),
     Comparison("what the network adds over argmax of the reward", DEFAULT, _DEFAULT.named("argmax_reward")),
     Comparison("what learning adds over greedy on the intent model", DEFAULT, _DEFAULT.named("greedy")),

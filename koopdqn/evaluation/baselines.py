@@ -15,6 +15,7 @@ from koopdqn.environment.reward import IntentReward
 from koopdqn.evaluation.without_koopman import MeanTangent, NearestVelocity, Prediction
 from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.intent.model import IntentModel
+from koopdqn.intent.signs import along_mean
 from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, Episode, follow, roll_out
 from koopdqn.tasks.start_frame import StartFrame
@@ -170,9 +171,13 @@ def without_learning(
     yield "greedy", greedy(workcell, model, *given)
     yield "argmax_reward", roll_out(BestByReward(reward), task, workcell.reachability, *given)
     placed = model.start_frame.each(trajectories)
-    for name, instead in (("nearest_velocity", NearestVelocity), ("mean_tangent", MeanTangent)):
-        controller = Greedy(model, task, instead.of(placed, task))
-        yield name, roll_out(controller, task, workcell.reachability, *given)
+    instead: dict[str, Prediction] = {
+        "nearest_velocity": NearestVelocity.of(placed, task),
+        "mean_tangent": MeanTangent.of(placed, task),
+        "mean_pursuit": along_mean(placed, task).next_pose,
+    }
+    for name, prediction in instead.items():
+        yield name, roll_out(Greedy(model, task, prediction), task, workcell.reachability, *given)
     yield "nearest_demonstration", nearest_demonstration(workcell, trajectories, starts, joints)
     yield "mean_demonstration", mean_demonstration(workcell, model.start_frame, trajectories, starts, joints)
     yield "floor", floor(workcell, *given)

@@ -146,6 +146,9 @@ class Baselines(ReportModel):
         description="greedy with K replaced by the direction of the mean demonstration at its nearest place and the"
         " orientation a step further on it, told in the intent's start frame; nothing leads back"
     )
+    mean_pursuit: MethodReport = Field(
+        description="greedy with K replaced by pursuit of the mean demonstration, five steps ahead of its nearest place"
+    )
     nearest_demonstration: MethodReport = Field(
         description="straight to the first pose of the demonstration that starts nearest, then its recorded poses"
     )

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import mean_poses, to_count
+from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.pose import Array
-from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
 
@@ -84,35 +84,32 @@ class MeanTangent:
     nearest, it has no direction left, and the goal is next.
 
     Attributes:
-        path: the mean's positions.
-        quaternions: (P, 4) its orientations at the path's points.
+        mean: the mean demonstration.
         task: gives goal and step.
     """
 
-    path: SmoothPath
-    quaternions: Array
+    mean: ShownPath
     task: Task
 
     @classmethod
     def of(cls, trajectories: list[Array], task: Task) -> "MeanTangent":
         """Return the prediction from demonstrated poses (N, 7) at the agent's step, told in the start frame."""
-        mean = mean_poses(trajectories, max(len(rows) for rows in trajectories))
-        path = SmoothPath.along(mean[:, pose.POSITION])
-        return cls(path, to_count(mean, len(path.points))[:, pose.QUATERNION], task)
+        return cls(ShownPath.along(mean_poses(trajectories, max(len(rows) for rows in trajectories))), task)
 
     def __call__(self, poses: Array) -> Array:
         """Return the next poses (N, 7) of poses (N, 7)."""
-        position, last = poses[:, pose.POSITION], len(self.path.points) - 1
+        places = self.mean.places
+        position, last = poses[:, pose.POSITION], len(places.points) - 1
         nearest = self._tree.query(position)[1]
-        direction = self.path.points[np.minimum(nearest + 1, last)] - self.path.points[nearest]
+        direction = places.points[np.minimum(nearest + 1, last)] - places.points[nearest]
         direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
         # Of a turn in place the path has no length.
-        ahead = np.minimum(nearest + round(self.task.step_m / max(self.path.spacing, 1e-6)), last)
-        onward = pose.make(position + self.task.step_m * direction, self.quaternions[ahead])
+        ahead = np.minimum(nearest + round(self.task.step_m / max(places.spacing, 1e-6)), last)
+        onward = pose.make(position + self.task.step_m * direction, self.mean.quaternions[ahead])
         return np.where((nearest < last)[:, None], onward, self.task.goal)
 
     @cached_property
     def _tree(self) -> "KDTree":
         from scipy.spatial import KDTree
 
-        return KDTree(self.path.points)
+        return KDTree(self.mean.places.points)
