@@ -6,47 +6,72 @@ from koopdqn.intent.fitting import Fitted
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 
+REACHES = np.array([0.03, 0.05, 0.04])
 
-def asked(trajectories: list[Array]) -> tuple[Array, Array]:
-    """Poses beside a demonstration, and answers that go elsewhere than the model does."""
+
+def asked(trajectories: list[Array]) -> tuple[Array, Array, Array]:
+    """Poses beside a demonstration, answers that go elsewhere than the model does, and their reaches."""
     poses = trajectories[0][40:100:20].copy()
     following = poses.copy()
     following[:, 2] += 0.0021
-    return poses, following
+    return poses, following, REACHES
 
 
 def test_the_prediction_goes_where_the_answers_say(fitted: Fitted, trajectories: list[Array]) -> None:
-    poses, following = asked(trajectories)
+    poses, following, reaches = asked(trajectories)
     before = pose.position_distance(fitted.model.predict(poses), following)
-    after = pose.position_distance(fitted.model.extended(poses, following).predict(poses), following)
+    after = pose.position_distance(fitted.model.extended(poses, following, reaches).predict(poses), following)
     assert before.min() > 1e-3
-    assert after.max() < 0.05 * before.min()
+    assert after.max() < 1e-6
+
+
+def test_within_half_its_reach_an_answer_alone_decides(fitted: Fitted, trajectories: list[Array]) -> None:
+    poses, following, reaches = (values[:1] for values in asked(trajectories))
+    model = fitted.model.extended(poses, following, reaches)
+    rng = np.random.default_rng(0)
+    way = rng.normal(size=(100, 3))
+    way *= rng.uniform(0.0, 0.49 * reaches[0], (100, 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    points = pose.make(poses[0, :3] + way, poses[0, 3:])
+    motion = model.predict(points)[:, :3] - points[:, :3]
+    np.testing.assert_allclose(motion, np.tile(following[0, :3] - poses[0, :3], (100, 1)), atol=1e-9)
+
+
+def test_between_answers_the_nearer_counts_more(fitted: Fitted, trajectories: list[Array]) -> None:
+    here = trajectories[0][60]
+    poses = np.array([here, here + [0.02, 0, 0, 0, 0, 0, 0]])
+    following = poses + np.array([[0, 0, 0.002, 0, 0, 0, 0], [0, 0.002, 0, 0, 0, 0, 0]])
+    model = fitted.model.extended(poses, following, np.array([0.1, 0.1]))
+    points = here + np.array([0.005, 0.010, 0.015])[:, None] * np.array([1, 0, 0, 0, 0, 0, 0])
+    motion = model.predict(points)[:, :3] - points[:, :3]
+    np.testing.assert_allclose(motion[1], [0, 0.001, 0.001], atol=1e-9)
+    assert motion[0, 2] > motion[1, 2] > motion[2, 2] > 0
 
 
 def test_beyond_their_reach_and_at_the_goal_nothing_changes(
     fitted: Fitted, trajectories: list[Array], parts: Parts
 ) -> None:
-    poses, following = asked(trajectories)
-    model = fitted.model.extended(poses, following)
+    poses, following, reaches = asked(trajectories)
+    model = fitted.model.extended(poses, following, reaches)
     rng = np.random.default_rng(0)
     points = parts.task.draw_starts(rng, 300)
     points[:, :3] = rng.uniform([0.35, -0.3, 0.3], [0.7, 0.3, 0.6], (300, 3))
-    gap = pose.position_distance(points[:, None], poses[None]).min(axis=1)
-    far = points[gap > 2 * model.reach]
+    gap = pose.position_distance(points[:, None], poses[None])
+    far = points[(gap > reaches).all(axis=1)]
     assert len(far) > 50
     np.testing.assert_array_equal(model.predict(far), fitted.model.predict(far))
     goal = parts.task.goal[None]
     near_goal = goal + np.array([0.001, 0, 0, 0, 0, 0, 0])
-    model = fitted.model.extended(near_goal, poses[:1])
-    np.testing.assert_array_equal(model.predict(goal)[:, :3], goal[:, :3])
+    model = fitted.model.extended(near_goal, poses[:1], reaches[:1])
+    np.testing.assert_allclose(model.predict(goal)[:, :3], goal[:, :3], atol=1e-12)
 
 
 def test_pairs_given_one_after_the_other_are_those_given_together_and_are_stored(
     fitted: Fitted, trajectories: list[Array], parts: Parts
 ) -> None:
-    poses, following = asked(trajectories)
-    together = fitted.model.extended(poses, following)
-    in_turn = fitted.model.extended(poses[:1], following[:1]).extended(poses[1:], following[1:])
+    poses, following, reaches = asked(trajectories)
+    together = fitted.model.extended(poses, following, reaches)
+    in_turn = fitted.model.extended(poses[:1], following[:1], reaches[:1])
+    in_turn = in_turn.extended(poses[1:], following[1:], reaches[1:])
     stored = IntentModel.restore(together.arrays(), parts.intent)
     everything = np.concatenate(trajectories)
     for other in (in_turn, stored):
@@ -55,4 +80,4 @@ def test_pairs_given_one_after_the_other_are_those_given_together_and_are_stored
     np.testing.assert_array_equal(
         IntentModel.restore(base, parts.intent).predict(everything), fitted.model.predict(everything)
     )
-    assert fitted.model.extended(poses[:0], following[:0]) is fitted.model
+    assert fitted.model.extended(poses[:0], following[:0], reaches[:0]) is fitted.model

@@ -34,7 +34,15 @@ given_answers = st.lists(
 def memory_of(answers: list[tuple[float, float, int, bool, float]]) -> AnswerMemory:
     memory = AnswerMemory(SETTINGS)
     for number, (x, turn, action, right, margin) in enumerate(answers):
-        memory.add(3 * number, beside(x, turn), action, beside(x + 1.0, turn), right=right, margin=margin)
+        memory.add(
+            3 * number,
+            beside(x, turn),
+            action,
+            beside(x + 1.0, turn),
+            right=right,
+            margin=margin,
+            expected=margin >= 0,
+        )
     return memory
 
 
@@ -89,7 +97,7 @@ def test_every_pose_is_recalled_for_itself() -> None:
 
 def test_without_a_radius_nothing_is_recalled() -> None:
     memory = AnswerMemory(SETTINGS.model_copy(update={"remember_m": 0.0}))
-    memory.add(0, HERE, 4, beside(1.0), right=True, margin=0.5)
+    memory.add(0, HERE, 4, beside(1.0), right=True, margin=0.5, expected=True)
     assert (memory.recall(HERE[None], np.zeros((1, ACTIONS))) == -1).all()
 
 
@@ -122,12 +130,12 @@ def test_a_contradiction_forgets_the_noes_nearby_and_no_other_answer(
 
 
 @given(answers=given_answers)
-def test_an_extension_is_around_the_yeses_and_moves_the_model_where_they_were_unexpected(
+def test_an_extension_tells_the_yeses_that_the_model_expected_from_the_others(
     answers: list[tuple[float, float, int, bool, float]],
 ) -> None:
-    yeses, before, after = memory_of(answers).extension()
-    wanted = [beside(x, turn) for x, turn, _, right, _ in answers if right]
-    np.testing.assert_array_equal(yeses, np.array(wanted).reshape(-1, 7))
+    expected, before, after = memory_of(answers).extension()
+    wanted = [beside(x, turn) for x, turn, _, right, margin in answers if right and margin >= 0]
+    np.testing.assert_array_equal(expected, np.array(wanted).reshape(-1, 7))
     unexpected = [(x, turn) for x, turn, _, right, margin in answers if right and margin < 0]
     np.testing.assert_array_equal(before, np.array([beside(*item) for item in unexpected]).reshape(-1, 7))
     np.testing.assert_array_equal(after, np.array([beside(x + 1.0, turn) for x, turn in unexpected]).reshape(-1, 7))
@@ -141,7 +149,7 @@ def test_a_restored_memory_is_the_same_and_goes_on_alike(
     new.restore({name: values.copy() for name, values in old.state().items()})
     assert_same(old, new)
     for memory in (old, new):
-        memory.add(99, beside(x), 4, beside(x + 1.0), right=False, margin=0.4)
+        memory.add(99, beside(x), 4, beside(x + 1.0), right=False, margin=0.4, expected=True)
         memory.contradict(beside(0.0))
         memory.withdraw({3})
     assert_same(old, new)

@@ -65,7 +65,7 @@ def invented(parts: "Parts", asked: np.ndarray) -> dict[str, IntentStudy]:
     rng = np.random.default_rng(0)
     error, sixty = (rng.uniform(0, 1e-3, (count, 2)) for count in (len(asked), 59))
     held_out = HeldOut(0, error, error, asked, sixty)
-    return {name: IntentStudy(name, parts.trust, {}, held_out) for name in ("paper", "pose")}
+    return {name: IntentStudy(name, parts.reward, {}, held_out) for name in ("paper", "pose")}
 
 
 def test_the_workflow(tmp_path: Path) -> None:

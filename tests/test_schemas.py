@@ -223,4 +223,4 @@ def test_the_tags_of_the_events_are_those_documented(run: Path) -> None:
     documented = set(re.findall(r"^\| `([^`]+)` \|", below, re.MULTILINE))
     written = set(events.Tags()["scalars"])
     # A short run may have no use for what it remembers.
-    assert written | {"reward_agreement/remembered"} == documented
+    assert written | {"reward_agreement/remembered", "reward_agreement/certified"} == documented

@@ -8,8 +8,9 @@ from koopdqn.pose import Array
 IN_PLACE = 2.0
 """Rotation tolerances by which one action of Table 1 turns in place."""
 
-# Of a turn in place: what no action need make up for (one rotation tolerance), and what one matches on its way there.
-_LITTLE, _ON_THE_WAY = 0.5, 2.5
+# Of a turn in place: what no action need make up for, and the most that one matches on its way to the goal. A little
+# less than the tolerance would allow (0.5 and 2.5), so that rounding makes no right action wrong.
+_LITTLE, _ON_THE_WAY = 0.45, 2.4
 # Cosine of 30°: a motion less far off the way to the goal is well made by an action that goes and turns there.
 _TOWARD = 0.866
 

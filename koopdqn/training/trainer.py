@@ -227,6 +227,10 @@ class Trainer:
                 batch.tried[index, action] = True
                 return False
             asked = True
+            if judgement.source[index, action] != ASKED:
+                # It was stored as the model's own opinion; what a person says is stored beside it.
+                judgement.source[index, action] = ASKED
+                batch.stored[index, action] = False
         reward = float(judgement.reward[index, action])
         right = reward >= 0
         moves = motion.joints is not None and (right or not self.agent.step_back)
@@ -255,8 +259,9 @@ class Trainer:
             else:
                 # Nothing is known to be right here: ask, the likeliest by the model's opinion first, about all that
                 # neither rules nor demonstrations nor answers about it exclude.
-                open_ = np.isin(judgement.source[index], (ASKED, CERTIFIED))
-                candidates, values, explore = untried & open_, judgement.margin[index], False
+                unsure = (ASKED,) if self._gathering.on else (ASKED, CERTIFIED)
+                candidates = untried & np.isin(judgement.source[index], unsure)
+                values, explore = judgement.margin[index], False
         if not candidates.any():
             return None
         if explore:
