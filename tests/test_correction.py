@@ -38,7 +38,7 @@ def test_within_half_its_reach_an_answer_alone_decides(fitted: Fitted, trajector
 
 def test_between_answers_the_nearer_counts_more(fitted: Fitted, trajectories: list[Array]) -> None:
     here = trajectories[0][60]
-    poses = np.array([here, here + [0.02, 0, 0, 0, 0, 0, 0]])
+    poses = here + np.array([[0, 0, 0, 0, 0, 0, 0], [0.02, 0, 0, 0, 0, 0, 0]])
     following = poses + np.array([[0, 0, 0.002, 0, 0, 0, 0], [0, 0.002, 0, 0, 0, 0, 0]])
     model = fitted.model.extended(poses, following, np.array([0.1, 0.1]))
     points = here + np.array([0.005, 0.010, 0.015])[:, None] * np.array([1, 0, 0, 0, 0, 0, 0])

@@ -110,7 +110,7 @@ def test_progress_adds_up_to_all_of_the_work() -> None:
     policy = Greedy(known.model, shelf().task)
     evaluate(shelf(), policy, reward_of(known), known.trajectories, SETTINGS, 30, told.append)
     assert min(told) >= 0
-    assert sum(told) == work_units(SETTINGS) == 52
+    assert sum(told) == work_units(SETTINGS) == 57
 
 
 def test_dynamics_runs_the_first_successful_paths_only() -> None:

@@ -110,7 +110,8 @@ def test_withdrawing_forgets_exactly_the_answers_of_those_numbers(
     rest = AnswerMemory(SETTINGS)
     for number, (x, turn, action, right, margin) in enumerate(answers):
         if number not in gone:
-            rest.add(3 * number, beside(x, turn), action, beside(x + 1.0, turn), right=right, margin=margin)
+            there, expected = beside(x + 1.0, turn), margin >= 0
+            rest.add(3 * number, beside(x, turn), action, there, right=right, margin=margin, expected=expected)
     assert_same(memory, rest)
 
 

@@ -161,7 +161,11 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
     model = model.within(frame)
     starts = task.draw_starts(np.random.default_rng(3), 20)
     here = frame.unplaced(mean[10:210:10], starts, mean[10:210:10])
-    for each in (model, IntentModel.restore(model.arrays(), settings), model.extended(mean[:1], mean[1:2], np.array([0.03]))):
+    for each in (
+        model,
+        IntentModel.restore(model.arrays(), settings),
+        model.extended(mean[:1], mean[1:2], np.array([0.03])),
+    ):
         found = each.intended(here, starts)
         np.testing.assert_allclose(frame.placed(found, starts), each.predict(frame.placed(here, starts)), atol=1e-9)
     np.testing.assert_array_equal(

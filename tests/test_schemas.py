@@ -113,7 +113,7 @@ def test_the_reports_of_a_run_agree_with_each_other(run: Path) -> None:
     assert evaluation["step_limit"] == train["step_limit"]
     given, agreement = train["rewards_given"], train["reward_agreement"]
     assert given["asked"] == train["oracle_queries"] > 0
-    assert train["trusted_fraction"] == pytest.approx(given["trusted"] / sum(given.values()))
+    assert train["trusted_fraction"] == pytest.approx((given["trusted"] + given["certified"]) / sum(given.values()))
     assert agreement["asked"] == 1.0  # the demonstrator itself answers
     assert train["checks"][-1]["env_steps"] <= train["env_steps"]
     assert max(check["success_rate"] for check in train["checks"]) == train["best_success_rate"]

@@ -40,6 +40,7 @@ class AnswerMemory:
         margins: of the intent model's own opinion when it was asked; at least 0: it had thought the action right.
         expected: whether the model had thought it right and no other action more so.
         contradictions: how often nothing was left that could have been right.
+        hopeless: poses (7,) where nothing was.
     """
 
     settings: FeedbackSettings
@@ -51,6 +52,7 @@ class AnswerMemory:
     margins: list[float] = field(default_factory=list)
     expected: list[bool] = field(default_factory=list)
     contradictions: int = 0
+    hopeless: list[Row] = field(default_factory=list)
     _stacked: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -106,12 +108,18 @@ class AnswerMemory:
 
     def contradict(self, point: Array) -> None:
         """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong."""
+        self.hopeless.append(tuple(point.tolist()))
         if not len(self):
             return
         noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
         if noes.any():
             self.contradictions += 1
             self._keep((~noes).tolist())
+
+    def hopeless_near(self, point: Array, reach: float) -> bool:
+        """Return whether nothing was right within a reach [m] of a pose (7,)."""
+        places = np.array(self.hopeless).reshape(-1, 7)
+        return bool((pose.position_distance(places, point) <= reach).any())
 
     def state(self) -> dict[str, np.ndarray]:
         """Return everything held, as arrays."""
@@ -124,6 +132,7 @@ class AnswerMemory:
             "margins": np.array(self.margins, dtype=np.float64),
             "expected": np.array(self.expected, dtype=np.bool_),
             "contradictions": np.array(self.contradictions),
+            "hopeless": np.array(self.hopeless).reshape(-1, 7),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
@@ -133,6 +142,7 @@ class AnswerMemory:
         self.expected = state["expected"].tolist()
         self.poses, self.reached = ([tuple(row) for row in state[name].tolist()] for name in ("poses", "reached"))
         self._stacked = None
+        self.hopeless = [tuple(row) for row in state["hopeless"].tolist()]
         self.contradictions = int(state["contradictions"])
 
     @property

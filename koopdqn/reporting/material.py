@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from koopdqn.config.settings import load_settings, validate
+from koopdqn.config.settings import load_settings
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.environment.reward import RewardSettings
@@ -95,7 +95,7 @@ def gather(groups: Mapping[str, Group], intents: Intents, folder: Path, advance:
     try:
         own = load_settings(run.about["intent"], IntentSettings, "intent")
         trust = load_settings(run.about["trust"], TrustSettings, "trust")
-        reward = validate(run.about["reward"], RewardSettings, "reward")
+        reward = load_settings(run.about["reward"], RewardSettings, "reward")
     except BadInputError as error:
         raise BadInputError(f"run {run.folder} must have an intent of this release, found: {error}") from error
     studies = {}

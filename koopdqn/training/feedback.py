@@ -109,6 +109,10 @@ class Feedback:
         judgement.known[recalled] = True
         return judgement
 
+    def hopeless_near(self, point: Array) -> bool:
+        """Return whether nothing at all was right near a placed pose (7,)."""
+        return self.memory.hopeless_near(point, _LEAST_REACH_STEPS * self._base.task.step_m)
+
     def covers(self, yeses: Array, point: Array) -> bool:
         """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,), all placed."""
         if not self._settings.extend:

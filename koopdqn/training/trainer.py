@@ -14,7 +14,7 @@ from koopdqn.dqn.replay import ReplayBuffer
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.episodes import EpisodeBatch
 from koopdqn.environment.reachability import Motion
-from koopdqn.environment.reward import ASKED, CERTIFIED, RULE, IntentReward, Judgement
+from koopdqn.environment.reward import ASKED, BY_MODEL, CERTIFIED, RULE, TRUSTED, IntentReward, Judgement
 from koopdqn.feedback.memory import FeedbackSettings
 from koopdqn.feedback.oracle import Oracle, Place
 from koopdqn.pose import Array
@@ -256,6 +256,8 @@ class Trainer:
             known_right = untried & judgement.known[index] & (judgement.reward[index] >= 0)
             if known_right.any():
                 candidates = known_right
+            elif self._blocked(judgement, index):
+                return None
             else:
                 # Nothing is known to be right here: ask, the likeliest by the model's opinion first, about all that
                 # neither rules nor demonstrations nor answers about it exclude.
@@ -267,6 +269,17 @@ class Trainer:
         if explore:
             return int(self._explore_rng.choice(np.flatnonzero(candidates)))
         return int(np.where(candidates, values, -np.inf).argmax())
+
+    def _blocked(self, judgement: Judgement, index: int) -> bool:
+        """Return whether no person would know better: the arm cannot do what was thought right.
+
+        That is so where demonstrations vouch for it, and near where a person was asked about all else in vain.
+        """
+        source, right = judgement.source[index], judgement.margin[index] >= 0
+        refused = self._batch.tried[index] & right & np.isin(source, (RULE, *BY_MODEL))
+        return bool(
+            refused.any() and ((source == TRUSTED).any() or self.feedback.hopeless_near(judgement.placed[index]))
+        )
 
     def _contested(self, judgement: Judgement, index: int, action: int) -> bool:
         """Return whether an action that only an answer elsewhere speaks against was chosen: nothing else is left."""
