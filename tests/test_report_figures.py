@@ -135,7 +135,8 @@ def test_the_running_mean_is_the_mean_of_its_window() -> None:
 def test_the_turn_is_half_done_early(tmp_path: Path, handed: "list[Array]", knife: "KnifeTask") -> None:
     check_drawn(tmp_path, lambda path: plot_turn(path, handed, knife, 0))
     for path in handed:
-        assert 0.0 < travelled_at_half_turn(path, knife) < 1 / 3
+        # Lifting the knife leads away from the goal at first, by a little.
+        assert -0.1 < travelled_at_half_turn(path, knife) < 1 / 3
 
 
 def test_poses_on_the_arm(tmp_path: Path, workcell: "Workcell", demonstrations: "Demonstrations") -> None:

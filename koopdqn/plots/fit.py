@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -85,7 +86,7 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
             _paths(axes, plane, trajectories, rollouts, corners, task)
             axes.set_title(f"Rolled out from each start, from {VIEWS[plane]}")
             if plane == planes[0]:
-                _tube_legend(axes, fitted.trust)
+                figure.legend(handles=_path_handles(axes, fitted.trust), loc="outside lower center", ncols=6)
         if not measured:
             return
         bars = grid[1, 4:].subgridspec(2 if turns else 1, 1)
@@ -143,8 +144,8 @@ def _errors(
     for value, colour, style, meaning in lines:
         axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
     axes.set_xlim(0, len(mean))
-    # An error far over all limits is cut off rather than flattening the rest.
-    axes.set_ylim(0, room * min(max(float(largest.max()), highest), 4 * highest))
+    # The worst few errors are cut off rather than flattening the rest.
+    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), highest))
     axes.set_xlabel("step of the demonstration")
 
 
@@ -239,7 +240,7 @@ def _paths(
     frame_projection(axes, plane, task, [*demonstrated, corners])
 
 
-def _tube_legend(axes: Axes, trust: TrustDomain) -> None:
+def _path_handles(axes: Axes, trust: TrustDomain) -> list[Any]:
     handles: list[Patch | Line2D] = [
         Line2D([], [], color=DEMONSTRATED, label="demonstration"),
         Line2D([], [], color=BLUE, linestyle=(0, (4, 2)), label="intent, rolled out"),
@@ -248,7 +249,7 @@ def _tube_legend(axes: Axes, trust: TrustDomain) -> None:
     if not trust.known.all():
         handles.append(Patch(color=ASK, label="too few rewards right: ask"))
     existing, _ = axes.get_legend_handles_labels()
-    axes.legend(handles=[*handles, *existing], loc="best")
+    return [*handles, *existing]
 
 
 def _components(axes: Axes, error: dict[str, dict[str, float]], scale: float, label: str) -> None:

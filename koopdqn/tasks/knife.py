@@ -79,8 +79,9 @@ class KnifeTask(Task):
         return "learned"
 
     def turned(self, share: Array) -> Array:
-        """Return the share (N,) of the turn that is made at shares (N,) of the path shown: evenly in between."""
-        return np.asarray(np.clip((share - self.turn_from) / (self.turn_until - self.turn_from), 0.0, 1.0))
+        """Return the share (N,) of the turn that is made at shares (N,) of the path shown: a smooth step 3u² − 2u³."""
+        u = np.clip((share - self.turn_from) / (self.turn_until - self.turn_from), 0.0, 1.0)
+        return np.asarray(u**2 * (3.0 - 2.0 * u))
 
     @property
     def rule(self) -> str:
