@@ -129,8 +129,9 @@ def with_table(page: str, rows: Sequence[Row]) -> str:
     Raises:
         BadInputError: the page does not hold that part once.
     """
-    seeds = ", ".join(str(seed) for seed in sorted({row.seed for row in rows}))
-    content = f"Seeds {seeds}.\n\n{table(rows)}" if rows else "Nothing is measured yet of the default as it stands."
+    seeds = sorted({row.seed for row in rows})
+    said = f"{'Seed' if len(seeds) == 1 else 'Seeds'} {', '.join(str(seed) for seed in seeds)}."
+    content = f"{said}\n\n{table(rows)}" if rows else "Nothing is measured yet of the default as it stands."
     try:
         return replaced(page, PART, content)
     except ValueError as error:

@@ -265,7 +265,7 @@ def test_the_results_are_written_from_what_is_finished(tmp_path: Path) -> None:
     assert [(row.case, row.variant, row.seed) for row in rows] == [("knife", "default", 2), ("knife", "sign", 2)]
     held = json.loads((tmp_path / "ablations.json").read_text(encoding="utf-8"))
     assert held[1]["overrides"] == ["reward.shape=sign"]
-    assert "Seeds 2." in page.read_text(encoding="utf-8")
+    assert "Seed 2." in page.read_text(encoding="utf-8")
 
 
 def test_the_page_has_a_place_for_the_table(tmp_path: Path) -> None:
