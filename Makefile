@@ -8,17 +8,15 @@ SHELL := bash
 VENV ?= .venv
 # The interpreter the environment is made with, once; empty: the first on PATH that is new enough.
 PYTHON ?=
-# The tasks that `make ablations` measures: shelf, knife or both.
-TASKS ?= shelf
-# The folder of motions of people that `make people` measures.
+# The folder of motions of people that `make people` and `make ablations` measure.
 PEOPLE ?= ../shared/data
-# After how many minutes `make study` begins no new run.
+# After how many minutes `make study` and `make ablations` begin no new run.
 MINUTES ?= 90
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench ablations parts study people docs figures package constraints clean
+.PHONY: help setup demo test learn lint format types bench ablations study people docs figures package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -54,11 +52,8 @@ types: $(STAMP) ## Check types
 bench: $(STAMP) ## Measure speed on this machine
 	$(BIN)/python scripts/bench.py
 
-ablations: $(STAMP) ## Measure what each idea adds, on TASKS; takes about half an hour a task, goes on where it stopped
-	$(BIN)/python scripts/ablations.py --tasks $(TASKS)
-
-parts: $(STAMP) ## Measure what each part of the DQN does, two seeds; goes on where it stopped
-	$(BIN)/python scripts/dqn_parts.py
+ablations: $(STAMP) ## Measure each deviation from the paper, for at most MINUTES; hours, goes on where it stopped
+	$(BIN)/python scripts/ablations.py --people $(PEOPLE) --minutes $(MINUTES)
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py --minutes $(MINUTES)

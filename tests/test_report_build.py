@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from koopdqn.demonstrations.dataset import Demonstrations
     from koopdqn.reporting.groups import Groups, Presets
 
-ABLATION = {"overrides": ["intent=line", "train.max_steps=9"], "learned": True, "episodes": 10, "oracle_queries": 3}
-ABLATION |= {"success_rate": 0.5, "path_deviation_mm": None}
+ABLATION = {"overrides": ["intent=line"], "learned": True, "episodes": 10, "oracle_queries": 3}
+ABLATION |= {"success_rate": 0.5, "deviation_mm": None}
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, parts: "Parts", demonstrati
     for seed in range(2):
         write_run(root / f"run{seed}", parts, first(demonstrations, 2), seed)
     write_evaluation(root / "eval", parts, str(root / "run0"))
-    rows = [{"task": "shelf", "variant": "line", "seed": seed, **ABLATION} for seed in range(2)]
+    rows = [{"case": "shelf", "variant": "line", "seed": seed, **ABLATION} for seed in range(2)]
     write_json(root / "ablations" / "ablations.json", rows)
     return root
 
@@ -172,7 +172,7 @@ def test_what_was_not_measured_is_said(groups: "Groups", tmp_path: Path) -> None
 
 
 def test_damaged_ablations_are_bad_input(tmp_path: Path) -> None:
-    write_json(tmp_path / "ablations.json", [{"task": "shelf"}])
+    write_json(tmp_path / "ablations.json", [{"case": "shelf"}])
     with pytest.raises(BadInputError, match="must hold one row a run"):
         ablations_table(tmp_path / "ablations.json")
 

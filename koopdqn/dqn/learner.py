@@ -50,13 +50,11 @@ class Learner:
         updates: how many updates were made.
     """
 
-    def __init__(
-        self, inputs: int, settings: AgentSettings, rng: np.random.Generator, network: type[QNetwork] = QNetwork
-    ) -> None:
+    def __init__(self, inputs: int, settings: AgentSettings, rng: np.random.Generator) -> None:
         """Make a learner for observations of ``inputs`` values, every weight drawn from ``rng``."""
         self.settings = settings
-        self.online = network(inputs, settings.network, rng)
-        self.target = network(inputs, settings.network, rng)
+        self.online = QNetwork(inputs, settings.network, rng)
+        self.target = QNetwork(inputs, settings.network, rng)
         self.target.load_state_dict(self.online.state_dict())
         self.updates = 0
         self._parameters: list[Tensor] = list(self.online.parameters())
