@@ -30,7 +30,7 @@ from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, Episode
 from koopdqn.tasks.task import Task
 
-WIDTH, HEIGHT = 1560, 1080
+WIDTH, HEIGHT = 1560, 1180
 _MM = 1e3
 _SHOWN = 20
 """Paths drawn in a projection; more hide each other."""
@@ -69,12 +69,12 @@ def plot_evaluation(
         f" (95 % interval {low:.0%} to {high:.0%})"
     )
     with picture(path, title, WIDTH, HEIGHT) as figure:
-        rows = figure.add_gridspec(2, 1, height_ratios=(1.25, 1) if image is not None else (1, 2))
+        rows = figure.add_gridspec(2, 1, height_ratios=(1.45, 1) if image is not None else (1, 2))
         halves = rows[0].subgridspec(1, 2, width_ratios=(1, 1.1))
         if image is None:
             curves, bars = halves[0], halves[1]
         else:
-            right = halves[1].subgridspec(2, 1)
+            right = halves[1].subgridspec(2, 1, height_ratios=(1, 1.35))
             curves, bars = right[0], right[1]
             show_image(figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; learned paths")
         below = rows[1].subgridspec(1, 2)
@@ -156,14 +156,14 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
     intervals = np.array([method["success_interval_95"] for method in methods.values()], dtype=float)
     success.barh(rows, rates, color=colours, height=0.62)
     whiskers = np.clip([rates - intervals[:, 0], intervals[:, 1] - rates], 0.0, None)
-    success.errorbar(rates, rows, xerr=whiskers, fmt="none", ecolor=INK, elinewidth=1.2, capsize=3)
+    success.errorbar(rates, rows, xerr=whiskers, fmt="none", ecolor=INK, elinewidth=1.2, capsize=2)
     for row, (rate, top) in enumerate(zip(rates, intervals[:, 1], strict=True)):
         _value(success, max(rate, top), row, f"{rate:.0%}")
     success.set_xlim(0, 1.3)
     success.set_xticks([0, 0.5, 1.0])
     success.xaxis.set_major_formatter(PercentFormatter(1.0))
     success.set_xlabel("success rate")
-    success.set_yticks(rows, [name.replace("_", " ") for name in methods], fontsize=8)
+    success.set_yticks(rows, [name.replace("_", " ") for name in methods], fontsize=7.5)
     success.invert_yaxis()
     success.set_title("Success, 95 % interval")
     # Where demonstrations are held out, they alone are what a path can deviate from.
@@ -180,7 +180,7 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
         longest = max(longest, reach)
         distance.barh(row, mean, color=colour, height=0.62)
         if worst is not None:
-            distance.plot(worst, row, marker="|", markersize=12, markeredgewidth=2, color=INK)
+            distance.plot(worst, row, marker="|", markersize=9, markeredgewidth=2, color=INK)
         _value(distance, reach, row, f"{mean:.1f}")
     distance.tick_params(labelleft=False)
     distance.set_xlim(0, 1.35 * longest)
@@ -191,4 +191,4 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
 
 
 def _value(axes: Axes, place: float, row: int, text: str) -> None:
-    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=8, color=INK)
+    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=7.5, color=INK)

@@ -96,16 +96,14 @@ class KnifeTask(Task):
 
     def blade_distance(self, poses: Array) -> Array:
         """Return the distance (N,) [m] from the nearest point of the blade to the receiver at poses (N, 7)."""
-        heights = np.linspace(-0.5, 0.5, _BLADE_LINES) * self.blade_height_m
-        along = np.array([0.0, 0.0, 1.0])
-        nearest = np.full(len(poses), np.inf)
-        for height in heights:
-            ends = [height * np.array(self.edge) + z * along for z in self._blade_ends]
-            first, second = (pose.rotate(poses[:, pose.QUATERNION], end) + poses[:, pose.POSITION] for end in ends)
-            for limb in self.receiver:
-                gap = segment_distance(first, second, np.array(limb.start), np.array(limb.end)) - limb.radius_m
-                nearest = np.minimum(nearest, gap)
-        return nearest
+        heights = np.linspace(-0.5, 0.5, _BLADE_LINES)[:, None] * self.blade_height_m * np.array(self.edge)
+        first, second = (
+            pose.rotate(poses[:, None, pose.QUATERNION], heights + [0.0, 0.0, end]) + poses[:, None, pose.POSITION]
+            for end in self._blade_ends
+        )
+        starts, ends = (np.array([getattr(limb, name) for limb in self.receiver]) for name in ("start", "end"))
+        gaps = segment_distance(first[:, :, None], second[:, :, None], starts, ends)
+        return np.asarray((gaps - [limb.radius_m for limb in self.receiver]).min(axis=(1, 2)))
 
     def rule_broken(self, poses: Array) -> np.ndarray:
         """Return whether the blade is near the receiver and not safe at each pose (N, 7), as booleans (N,)."""
