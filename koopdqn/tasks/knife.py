@@ -98,7 +98,8 @@ class KnifeTask(Task):
         """Return the distance (N,) [m] from the nearest point of the blade to the receiver at poses (N, 7)."""
         heights = np.linspace(-0.5, 0.5, _BLADE_LINES)[:, None] * self.blade_height_m * np.array(self.edge)
         first, second = (
-            pose.rotate(poses[:, None, pose.QUATERNION], heights + [0.0, 0.0, end]) + poses[:, None, pose.POSITION]
+            pose.rotate(poses[:, None, pose.QUATERNION], heights + np.array([0.0, 0.0, end]))
+            + poses[:, None, pose.POSITION]
             for end in self._blade_ends
         )
         starts, ends = (np.array([getattr(limb, name) for limb in self.receiver]) for name in ("start", "end"))
