@@ -83,8 +83,8 @@ def shelf_errors(material: Material, folder: Path) -> Figure:
     errors = {name: found.held_out for name, found in material.intents.items()}
     caption = (
         f"One-step error of position (Eq. 15) on demonstration {SHOWN}, predicted by models fitted to the others."
-        " Shaded: steps outside the trust domain drawn from the others, or where the model's held-out error is over"
-        " its limit, so that the expert is asked. Largest raw error at the agent's step"
+        " Shaded: steps outside the trust domain drawn from the others, or where too few rewards are right, so that the"
+        " expert is asked. Largest raw error at the agent's step"
         f" {1e3 * errors['paper'].error[:, 0].max():.2f} mm by the paper's lift,"
         f" {1e3 * errors['pose'].error[:, 0].max():.2f} mm by the default. The bounds in the lowest panel are those"
         " that the paper's text states; its curve is not redrawn."

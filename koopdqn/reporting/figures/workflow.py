@@ -37,7 +37,7 @@ def _knowledge(axes: Axes) -> None:
     _box(axes, (48, 87), 28, 10, "lift and fit (Eqs. 9–12)\n$K = A\\,G^{+}$", BLUE)
     _box(axes, (48, 75.5), 28, 8.5, "mean and σ of every\ncomponent (§3.4)", GREEN)
     _box(axes, (92, 87), 40, 10, "human intent model (Eqs. 13, 14)\n$s'_{t+1} = g^{-1}(K\\,g(s_t))$", BLUE)
-    _box(axes, (92, 75.5), 40, 8.5, "trust domain: within k σ, and the\nmodel's held-out error small", GREEN)
+    _box(axes, (92, 75.5), 40, 8.5, "trust domain: within k σ, and\nrewards there right, one left out", GREEN)
     for y in (87, 75.5):
         _arrow(axes, (25, 81), (34, y))
         _arrow(axes, (62, y), (72, y))
