@@ -52,7 +52,7 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
         while process.poll() is None and not any(path.stat().st_size for path in folder.glob(when)):
             time.sleep(0.005)
         process.send_signal(number)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=180)
     finally:
         process.kill()
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
