@@ -59,6 +59,7 @@ _FIGURES: Final[tuple[tuple[str, Format], ...]] = (
     ("success_rate", "share"),
     ("oracle_queries", "count"),
     ("deviation_mm", "mm"),
+    ("trusted_right", "share"),
 )
 
 
@@ -97,7 +98,7 @@ def table(rows: Sequence[Row], variants: Sequence[Variant] = VARIANTS) -> str:
 
 
 def _cell(rows: Sequence[Row], variant: str, case: str) -> str:
-    """Return success, questions and deviation of a variant in a case: the default's own, or all others' less those."""
+    """Return the figures of a variant in a case: the default's own, or all others' less those."""
     default = {row.seed: row for row in rows if (row.case, row.variant) == (case, DEFAULT.name)}
     own = [row for row in rows if (row.case, row.variant) == (case, variant) and row.seed in default]
     if not own:

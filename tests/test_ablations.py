@@ -280,14 +280,14 @@ def test_a_cell_is_the_difference_from_the_default_with_the_same_seed() -> None:
         ROW,
     ]
     _, _, default, sign = table(rows).splitlines()
-    assert default.split(" | ")[:3] == ["| –", "the default", "100 / 12 (5 to 20) / 18.5"]
-    cell = "−25 (−50 to 0) / +498 (−3 to +1,000) / +1.5; learned 1 of 2"
+    assert default.split(" | ")[:3] == ["| –", "the default", "100 / 12 (5 to 20) / 18.5 / 99"]
+    cell = "−25 (−50 to 0) / +498 (−3 to +1,000) / +1.5 / 0; learned 1 of 2"
     assert sign.split(" | ")[:4] == ["| D5", "`reward.shape=sign`", cell, "–"]
 
 
 def test_what_was_measured_with_fewer_seeds_than_the_default_says_so() -> None:
     rows = [PLAIN, replace(PLAIN, seed=1), replace(ROW, seed=1), replace(ROW, seed=2)]
-    assert "| 0 / −3 / +1.5; seed 1 alone |" in table(rows)
+    assert "| 0 / −3 / +1.5 / 0; seed 1 alone |" in table(rows)
     assert len(table([replace(ROW, seed=2)]).splitlines()) == 2
 
 
