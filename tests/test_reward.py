@@ -209,3 +209,18 @@ def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, traje
     for rows in trajectories[:2]:
         judged = reward.judge(rows[:-2], np.arange(len(rows) - 2))
         assert (judged.reward >= 0).any(axis=1).all()
+
+
+def test_an_answer_moves_no_prediction_that_demonstrations_vouch_for(
+    reward: IntentReward, trajectories: list[Array]
+) -> None:
+    here = trajectories[0][60:61]
+    after = here + np.array([[0, 0, 0.0021, 0, 0, 0, 0]])
+    moved = reward.extended(here[:0], np.zeros(0), here, after, np.array([0.2]))
+    poses, steps = beside(trajectories, 5, 300, 0.03)
+    shown = reward.trust.vouched(poses, steps).shown
+    assert 20 < shown.sum() < 280
+    before, then = reward.judge(poses, steps).predicted, moved.judge(poses, steps).predicted
+    np.testing.assert_array_equal(then[shown], before[shown])
+    changed = np.abs(then - before).max(axis=1) > 1e-6
+    assert changed[~shown].mean() > 0.5

@@ -10,6 +10,7 @@ from koopdqn import pose
 from koopdqn.config.settings import Settings
 from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
 from koopdqn.environment.compare import excess
+from koopdqn.intent.correction import CorrectedIntent
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
@@ -97,12 +98,22 @@ class IntentReward:
         self.settings = settings
         self._illegal = ~legal_actions(task)
 
-    def predicted(self, poses: Array, starts: Array | None = None) -> Array:
-        """Return the poses (N, 7) that reached poses are compared with, from poses (N, 7); see :meth:`judge`."""
-        predicted = self.model.predict(poses) if starts is None else self.model.intended(poses, starts)
+    def predicted(self, poses: Array, starts: Array | None = None, steps: np.ndarray | None = None) -> Array:
+        """Return the poses (N, 7) that reached poses are compared with, from poses (N, 7); see :meth:`judge`.
+
+        Where demonstrations vouch for the model, answers do not move it.
+        """
+        predicted = self._intended(self.model, poses, starts)
+        if isinstance(self.model, CorrectedIntent):
+            placed = poses if starts is None else self.model.start_frame.placed(poses, starts)
+            shown = self.trust.vouched(placed, np.zeros(len(poses), dtype=np.int64) if steps is None else steps).shown
+            predicted = np.where(shown[:, None], self._intended(self.model.base, poses, starts), predicted)
         if self.settings.prediction == "rescaled":
             predicted = self.model.to_step(poses, predicted, self.task.step_m)
         return predicted
+
+    def _intended(self, model: IntentModel, poses: Array, starts: Array | None) -> Array:
+        return model.predict(poses) if starts is None else model.intended(poses, starts)
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
         """Return the reward function with a model and a trust domain extended by answers.
@@ -132,7 +143,7 @@ class IntentReward:
         """
         count = len(poses)
         reached = reached_poses(poses, self.task)
-        predicted = self.predicted(poses, starts)
+        predicted = self.predicted(poses, starts, steps)
         placed, placed_reached = poses, reached
         if starts is not None:
             placed = self.model.start_frame.placed(poses, starts)
