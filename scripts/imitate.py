@@ -156,8 +156,7 @@ def _followed(
     for start in starts:
         path = primitive(start, task.goal)
         # A ProMP of few demonstrations cannot begin everywhere.
-        whole = np.concatenate([straight_path(start, path[0], task)[:-1], path])
-        paths.append(whole)
+        paths.append(np.concatenate([straight_path(start, path[0], task)[:-1], path]))
     stepped = to_step(paths, task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad)
     episodes = follow(stepped, task, reachability, joints)
     references = reference_paths(task, starts, step_limit)

@@ -161,7 +161,7 @@ def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward
         np.testing.assert_array_equal(first.pose, before)
         np.testing.assert_array_equal([first.start, second.start], [before, before])
         np.testing.assert_array_equal(first.reached, second.pose)
-        np.testing.assert_array_equal(first.predicted, reward.predicted(before[None])[0])
+        np.testing.assert_array_equal(first.predicted, reward.judge(before[None], np.array([0])).predicted[0])
         assert "of the rewards here are right" in first.reason or "standard deviations" in first.reason
 
 

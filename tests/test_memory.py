@@ -165,3 +165,15 @@ def test_what_is_remembered_is_a_fact_of_its_own_time(right: bool) -> None:
     held = memory.state()
     held["poses"][:] = 0.0
     assert memory.recall(HERE[None], np.full((1, ACTIONS), 0.2))[0, 4] == 0
+
+
+def test_a_place_is_hopeless_only_where_a_person_said_no_and_until_an_answer_is_withdrawn() -> None:
+    memory = AnswerMemory(SETTINGS)
+    memory.contradict(HERE)
+    assert not memory.hopeless_near(HERE, 10.0)
+    memory.add(0, HERE, 4, beside(1.0), right=False, margin=0.5, expected=True)
+    memory.contradict(HERE)
+    assert memory.hopeless_near(HERE, 0.001)
+    assert not memory.hopeless_near(beside(100.0), 0.001)
+    memory.withdraw({7})
+    assert not memory.hopeless_near(HERE, 10.0)

@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -124,6 +124,15 @@ def test_the_rotation_distance_keeps_small_angles(q: Array, exponent: float, axi
     found = pose.rotation_distance(pose.make(np.zeros(3), q), pose.make(np.zeros(3), turned))
     # Rounding of the product's entries is about 1e-16; arccos would lose everything under 1e-8.
     assert found == pytest.approx(angle, abs=1e-15)
+
+
+@given(quaternions, quaternions, st.floats(0, 0.5))
+def test_a_negative_turn_leads_away_from_the_goal(q: Array, goal: Array, angle: float) -> None:
+    here, there = (pose.make(np.zeros(3), each) for each in (q, goal))
+    total = float(pose.rotation_distance(here, there))
+    assume(1e-3 < total < 2.5)
+    turned = pose.make(np.zeros(3), pose.turned_toward(q, goal, -angle))
+    assert pose.rotation_distance(turned, there) == pytest.approx(total + angle, abs=1e-9)
 
 
 @given(quaternions, quaternions, st.floats(0, 4))

@@ -18,6 +18,7 @@ from helpers_training import (
 from parts import Clerk, Parts
 
 from koopdqn import pose
+from koopdqn.environment.reachability import COLLISION, Motion
 from koopdqn.environment.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward, Judgement
 from koopdqn.feedback.imperfect import ImperfectOracle
 from koopdqn.feedback.journal import JournalledOracle
@@ -152,7 +153,9 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     reached = before.judge(point[None], np.array([0])).reached[0, action]
     assert ask(trainer, point, action)
     after = trainer.feedback.reward
-    gaps = [pose.position_distance(each.predicted(point[None])[0], reached) for each in (before, after)]
+    gaps = [
+        pose.position_distance(each.judge(point[None], np.array([0])).predicted[0], reached) for each in (before, after)
+    ]
     assert gaps[1] < 0.1 * gaps[0]
     held = trainer.replay.held()
     rows = np.flatnonzero(held.sources == CERTIFIED)
@@ -370,3 +373,64 @@ def test_a_run_with_a_noisy_oracle_is_fixed_by_its_seeds(make: Make, workcell: W
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
     assert (tmp_path / "one").read_bytes() != (tmp_path / "other").read_bytes()
     assert one.history.agreement()["asked"] < 1.0 > other.history.agreement()["asked"]  # type: ignore[operator]
+
+
+def test_after_a_no_the_same_place_is_asked_about_until_something_is_right(make: Make) -> None:
+    noes: dict[tuple[float, ...], int] = {}
+
+    def rule(question: Question) -> bool:
+        place = tuple(question.pose.tolist())
+        noes[place] = noes.get(place, 0) + 1
+        return noes[place] > 2
+
+    clerk = Clerk(rule)
+    trainer = make(clerk, feedback=FORGETFUL)
+    trainer._round()
+    places = [tuple(question.pose.tolist()) for question in clerk.asked]
+    # Four episodes side by side, in three questions each, one place after the other.
+    assert len(clerk.asked) == 12
+    assert all(places[i] == places[i - i % 3] for i in range(12))
+    assert len(set(places)) == 4
+
+
+class _Refusing:
+    """Reachability of an arm that can make no motion."""
+
+    def move(self, point: Array, joints: Array) -> Motion:
+        return Motion(None, COLLISION, "anything with anything")
+
+    def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
+        return [self.move(*each) for each in zip(poses, joints, strict=True)]
+
+
+def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_vouch_for(
+    parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]
+) -> None:
+    clerk = Clerk()
+    trainer = small_trainer(
+        parts, workcell, reward, trajectories, clerk, agent={"episodes_at_once": 1}, train=dict(UNCHECKED)
+    )
+    trust = replace(reward.trust, doubt=np.full_like(reward.trust.doubt, 0.5))
+    trainer.feedback.reward = IntentReward(reward.task, reward.model, trust, reward.settings)
+    trainer._batch.poses[0] = trainer._batch.starts[0] = trajectories[0][60]
+    judged = trainer._judge()
+    assert (judged.source == ASKED).any(), "some action must be left to ask about"
+    trainer.workcell = replace(workcell, reachability=_Refusing())  # type: ignore[arg-type]
+    number = trainer._batch.numbers[0]
+    for _ in range(10):
+        trainer._round()
+        if trainer._batch.numbers[0] != number:
+            break
+    assert trainer._batch.numbers[0] != number, "the episode ends there"
+    assert not clerk.asked
+
+
+def test_what_an_answer_would_settle_leaves_out_what_demonstrations_speak_of(
+    make: Make, reward: IntentReward, trajectories: list[Array]
+) -> None:
+    trainer = make(feedback={"reach_m": 0.07})
+    here = trajectories[0][60]
+    doubted = replace(reward.trust, doubt=np.full_like(reward.trust.doubt, np.inf))
+    for trust, settled in ((trainer.feedback._base.trust, True), (doubted, False)):
+        trainer.feedback._base = IntentReward(reward.task, reward.model, trust, reward.settings)
+        assert trainer.feedback.covers(here[None], here, 0) == settled

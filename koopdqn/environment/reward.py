@@ -10,9 +10,8 @@ from koopdqn import pose
 from koopdqn.config.settings import Settings
 from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
 from koopdqn.environment.compare import excess
-from koopdqn.intent.correction import CorrectedIntent
 from koopdqn.intent.model import IntentModel
-from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.trust import TrustDomain, Vouched
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
@@ -31,7 +30,6 @@ NO_ANSWER: Final = -1
 
 # Below this a motion is none: 1e-9 m or rad is far under any tolerance and over rounding.
 _NO_MOTION = 1e-9
-
 
 Prediction = Literal["raw", "rescaled"]
 """What of the intent model a reached pose is compared with: its prediction, or one as long as the agent's step."""
@@ -98,23 +96,6 @@ class IntentReward:
         self.settings = settings
         self._illegal = ~legal_actions(task)
 
-    def predicted(self, poses: Array, starts: Array | None = None, steps: np.ndarray | None = None) -> Array:
-        """Return the poses (N, 7) that reached poses are compared with, from poses (N, 7); see :meth:`judge`.
-
-        Where demonstrations vouch for the model, answers do not move it.
-        """
-        predicted = self._intended(self.model, poses, starts)
-        if isinstance(self.model, CorrectedIntent):
-            placed = poses if starts is None else self.model.start_frame.placed(poses, starts)
-            shown = self.trust.vouched(placed, np.zeros(len(poses), dtype=np.int64) if steps is None else steps).shown
-            predicted = np.where(shown[:, None], self._intended(self.model.base, poses, starts), predicted)
-        if self.settings.prediction == "rescaled":
-            predicted = self.model.to_step(poses, predicted, self.task.step_m)
-        return predicted
-
-    def _intended(self, model: IntentModel, poses: Array, starts: Array | None) -> Array:
-        return model.predict(poses) if starts is None else model.intended(poses, starts)
-
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
         """Return the reward function with a model and a trust domain extended by answers.
 
@@ -143,14 +124,19 @@ class IntentReward:
         """
         count = len(poses)
         reached = reached_poses(poses, self.task)
-        predicted = self.predicted(poses, starts, steps)
         placed, placed_reached = poses, reached
         if starts is not None:
             placed = self.model.start_frame.placed(poses, starts)
             placed_reached = self.model.start_frame.placed(reached, starts[:, None])
+        here = self.trust.vouched(placed, steps)
+        predicted = self._predicted(placed, here.shown)
+        if starts is not None:
+            predicted = self.model.start_frame.unplaced(predicted, starts, poses)
+        if self.settings.prediction == "rescaled":
+            predicted = self.model.to_step(poses, predicted, self.task.step_m)
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
-        shown, answered, doubt = self._vouched(placed, placed_reached, steps)
+        shown, answered, doubt = self._vouched(here, placed_reached, steps)
         certain = certain_signs(margin, doubt)
         unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
             pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
@@ -174,17 +160,21 @@ class IntentReward:
             np.full_like(source, NO_ANSWER),
         )
 
-    def _vouched(self, poses: Array, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
+    def _predicted(self, poses: Array, shown: np.ndarray) -> Array:
+        """Return the predicted next poses (N, 7) of placed poses; where demonstrations vouch, answers move nothing."""
+        fitted = self.model.fitted.predict(poses)
+        return np.where(shown[:, None], fitted, self.model.moved(poses, fitted))
+
+    def _vouched(self, here: Vouched, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
         """Return for which actions (N, 10) demonstrations vouch, for which an answer must, and the doubt of each."""
         after = self.trust.vouched(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
         shown, answered = after.shown.reshape(-1, COUNT), after.answered.reshape(-1, COUNT)
         doubt = after.doubt.reshape(-1, COUNT)
         if self.trust.settings.needs == "reached":
             return shown, answered, doubt
-        before = self.trust.vouched(poses, steps)
-        both = (shown | answered) & (before.shown | before.answered)[:, None]
-        shown = shown & before.shown[:, None]
-        return shown, both & ~shown, np.maximum(doubt, before.doubt[:, None])
+        both = (shown | answered) & (here.shown | here.answered)[:, None]
+        shown = shown & here.shown[:, None]
+        return shown, both & ~shown, np.maximum(doubt, here.doubt[:, None])
 
 
 def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:

@@ -12,7 +12,7 @@ from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.environment.actions import COUNT
 from koopdqn.environment.compare import nearest_actions
 from koopdqn.environment.reward import IntentReward
-from koopdqn.evaluation.without_koopman import MeanTangent, NearestVelocity, Prediction
+from koopdqn.evaluation.without_koopman import MeanTangent, NearestVelocity, NextPose
 from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.signs import along_mean
@@ -62,7 +62,7 @@ class Greedy:
 
     model: IntentModel
     task: Task
-    instead: Prediction | None = None
+    instead: NextPose | None = None
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
@@ -171,7 +171,7 @@ def without_learning(
     yield "greedy", greedy(workcell, model, *given)
     yield "argmax_reward", roll_out(BestByReward(reward), task, workcell.reachability, *given)
     placed = model.start_frame.each(trajectories)
-    instead: dict[str, Prediction] = {
+    instead: dict[str, NextPose] = {
         "nearest_velocity": NearestVelocity.of(placed, task),
         "mean_tangent": MeanTangent.of(placed, task),
         "mean_pursuit": along_mean(placed, task).next_pose,

@@ -17,7 +17,7 @@ from koopdqn.tasks.task import Task
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
-Prediction = Callable[[Array], Array]
+NextPose = Callable[[Array], Array]
 """Gives the next poses (N, 7) of poses (N, 7), both told in the intent's start frame."""
 
 

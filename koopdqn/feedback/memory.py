@@ -40,7 +40,7 @@ class AnswerMemory:
         margins: of the intent model's own opinion when it was asked; at least 0: it had thought the action right.
         expected: whether the model had thought it right and no other action more so.
         contradictions: how often nothing was left that could have been right.
-        hopeless: poses (7,) where nothing was.
+        hopeless: poses (7,) where that was so.
     """
 
     settings: FeedbackSettings
@@ -103,17 +103,18 @@ class AnswerMemory:
         return _rows(self.poses, expected), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
 
     def withdraw(self, numbers: set[int]) -> None:
-        """Forget the answers of these numbers."""
+        """Forget the answers of these numbers, and where nothing was right, which may rest on them."""
+        self.hopeless.clear()
         self._keep([number not in numbers for number in self.numbers])
 
     def contradict(self, point: Array) -> None:
         """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong."""
-        self.hopeless.append(tuple(point.tolist()))
         if not len(self):
             return
         noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
         if noes.any():
             self.contradictions += 1
+            self.hopeless.append(tuple(point.tolist()))
             self._keep((~noes).tolist())
 
     def hopeless_near(self, point: Array, reach: float) -> bool:

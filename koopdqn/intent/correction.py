@@ -50,7 +50,15 @@ class CorrectedIntent(IntentModel):
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
-        predicted = self.base.predict(poses)
+        return self.moved(poses, self.base.predict(poses))
+
+    @property
+    def fitted(self) -> IntentModel:
+        """The base."""
+        return self.base
+
+    def moved(self, poses: Array, predicted: Array) -> Array:
+        """Return what the pairs make of the base's predictions (N, 7) from poses (N, 7)."""
         blend, weights = self._blend(poses)
         rows = np.flatnonzero(blend > 0.0)
         if not len(rows):

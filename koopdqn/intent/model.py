@@ -81,6 +81,15 @@ class IntentModel(ABC):
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7), Eqs. 13, 14."""
 
+    @property
+    def fitted(self) -> "IntentModel":
+        """The model as it was fitted, without additional pairs."""
+        return self
+
+    def moved(self, poses: Array, predicted: Array) -> Array:
+        """Return what additional pairs make of the fitted model's predictions (N, 7) from poses (N, 7)."""
+        return predicted
+
     def intended(self, poses: Array, starts: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
         return self.start_frame.unplaced(self.predict(self.start_frame.placed(poses, starts)), starts, poses)

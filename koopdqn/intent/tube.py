@@ -165,8 +165,12 @@ class Tube(TrustDomain):
         far = scaled_distances(point[None], self.middle, self.radius)[0]
         place = int(far.argmin())
         if far[place] > 1.0:
+            # From far off the widest place is least far in its radii, yet it is not the one that lies nearest.
+            outside = pose.position_distance(point, self.middle) - self.radius[:, 0]
+            if (outside > 0.0).all():
+                place = int(outside.argmin())
             radius, turn = self.radius[place]
-            moved = float(pose.position_distance(point, self.middle[place]))
+            moved = float(outside[place] + radius)
             turned = float(pose.rotation_distance(point, self.middle[place]))
             if moved / radius >= turned / turn:
                 return f"position is {moved * 1e3:.1f} mm from the demonstrations' mean (tube {radius * 1e3:.1f} mm)"

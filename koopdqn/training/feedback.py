@@ -10,7 +10,6 @@ from koopdqn.environment.reward import BY_MODEL, REMEMBERED, IntentReward, Judge
 from koopdqn.feedback.memory import AnswerMemory, FeedbackSettings
 from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.feedback.scripted import ScriptedOracle
-from koopdqn.intent.trust import Balls
 from koopdqn.pose import Array
 
 _TOGETHER = 1024
@@ -113,11 +112,12 @@ class Feedback:
         """Return whether nothing at all was right near a placed pose (7,)."""
         return self.memory.hopeless_near(point, _LEAST_REACH_STEPS * self._base.task.step_m)
 
-    def covers(self, yeses: Array, point: Array) -> bool:
+    def covers(self, yeses: Array, point: Array, step: int) -> bool:
         """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,), all placed."""
         if not self._settings.extend:
             return False
-        return bool(Balls(yeses, self._radii(yeses), self._base.trust.balls.turn).holds(point[None])[0])
+        trust = self._base.trust.extended(yeses, self._radii(yeses))
+        return bool(trust.vouched(point[None], np.array([step])).answered[0])
 
     def ask(self, question: Question, judgement: Judgement, index: int, replay: ReplayBuffer) -> Outcome:
         """Ask whether an action was right, learn from the answer, and put its reward into a row of a judgement.

@@ -58,7 +58,7 @@ class Gathering:
         self._trials[index].append(trial)
         questions = self._questions[index]
         here = _placed([trial], self._feedback)[0]
-        if not self._feedback.covers(_poses(questions), here):
+        if not self._feedback.covers(_poses(questions), here, trial.step):
             questions.append(here)
         return len(questions) >= self._asking.most
 
@@ -162,7 +162,7 @@ def _questions(trials: list[Trial], known: np.ndarray, feedback: Feedback) -> in
     """Return how many of the trials will be asked about if all answers are yes, given what is known (N, 10)."""
     questions: list[Array] = []
     for row, (trial, here) in enumerate(zip(trials, _placed(trials, feedback), strict=True)):
-        if not known[row, trial.action] and not feedback.covers(_poses(questions), here):
+        if not known[row, trial.action] and not feedback.covers(_poses(questions), here, trial.step):
             questions.append(here)
     return len(questions)
 
