@@ -10,7 +10,7 @@ from parts import load_parts
 from koopdqn import pose
 from koopdqn.intent.box import Box, BoxSettings
 from koopdqn.intent.fitting import Fitted
-from koopdqn.intent.trust import COMPONENTS, TrustDomain
+from koopdqn.intent.trust import COMPONENTS, TrustDomain, calibrated
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
 
@@ -153,16 +153,38 @@ def test_matching_any_aligns_demonstrations_of_different_length() -> None:
 
 
 @pytest.mark.parametrize("matching", MATCHINGS)
-def test_where_rewards_are_wrong_too_often_nothing_is_trusted(matching: Matching) -> None:
+def test_where_rewards_are_clearly_wrong_too_often_nothing_is_trusted(matching: Matching) -> None:
+    signs = all_right(lines([0, 0, 0]))
+    for each in signs:
+        each[5, :, 0] = 0.5
+    drawn = domain(matching, 2.0, signs)
+    np.testing.assert_allclose(drawn.right, [0.5 if t == 5 else 1.0 for t in range(11)])
+    assert drawn.known.tolist() == [t != 5 for t in range(11)]
+    point = at(0.05)
+    assert not drawn.inside(point, np.array([5]))[0]
+    assert "only 50% of the rewards here are right (least 90%)" in drawn.outside(point[0], 5)
+    assert drawn.inside(at(0.08), np.array([8]))[0]
+
+
+@pytest.mark.parametrize("matching", MATCHINGS)
+def test_what_chance_makes_of_few_states_refutes_nothing_but_raises_the_doubt(matching: Matching) -> None:
     signs = all_right(lines([0, 0, 0]))
     signs[1][5, :, 0] = 0.5
     drawn = domain(matching, 2.0, signs)
     np.testing.assert_allclose(drawn.right, [2.5 / 3.0 if t == 5 else 1.0 for t in range(11)])
-    assert drawn.known.tolist() == [t != 5 for t in range(11)]
-    point = at(0.05)
-    assert not drawn.inside(point, np.array([5]))[0]
-    assert "only 83% of the rewards here are right (least 90%)" in drawn.outside(point[0], 5)
-    assert drawn.inside(at(0.08), np.array([8]))[0]
+    doubts = drawn.settings.doubts
+    np.testing.assert_allclose(drawn.doubt, [doubts[-1] if t == 5 else doubts[0] for t in range(11)])
+
+
+@pytest.mark.parametrize("count", [10, 100, 1000])
+def test_a_place_is_refuted_by_a_share_that_one_in_twenty_of_right_places_would_show(count: int) -> None:
+    rng = np.random.default_rng(7)
+    right = rng.binomial(1, 0.9, size=(400, count)).astype(float)
+    signs = [np.stack([column[:, None], np.ones((400, 1))], axis=2) for column in right.T]
+    places = [np.arange(400)] * count
+    stated = settings("any").model_copy(update={"least_right": 0.9, "doubts": (0.1,)})
+    doubt = calibrated(places, signs, 400, 0, stated)[1]
+    assert 0.02 < np.mean(np.isinf(doubt)) < 0.1
 
 
 @given(

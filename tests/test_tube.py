@@ -92,7 +92,8 @@ def test_distance_reason_and_inside_agree(seed: int, turn: float, error: bool) -
 def test_where_rewards_are_wrong_it_is_the_nearest_place_that_counts() -> None:
     shown = person(np.random.default_rng(0), 4)
     signs = all_right(shown)
-    signs[2][100:120, :, 0] = 0.0
+    for each in signs[1:]:
+        each[100:120, :, 0] = 0.0
     drawn = tube(shown, signs)
     inside = drawn.inside(shown[2], np.zeros(len(shown[2]), dtype=int))
     assert not inside[102:118].any()

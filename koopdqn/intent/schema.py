@@ -95,7 +95,7 @@ class TrustCoverage(ReportModel):
         description="median along the path of the demonstrations' root mean square distance from their mean [m]"
     )
     known_share: Fraction = Field(
-        description="share of the domain's places where at least `least_right` of the rewards are right"
+        description="share of the domain's places where nothing speaks against `least_right` of the rewards being right"
     )
     least_right: Fraction = Field(description="stated share of right signs (`trust.least_right`)")
     doubt: NonNegative | None = Field(

@@ -16,6 +16,9 @@ from koopdqn.tasks.task import angles_in
 
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 
+# Standard deviations that chance alone exceeds to one side in one of twenty cases.
+_CHANCE = 1.645
+
 
 class TrustSettings(Settings, ABC):
     """How the trust domain is drawn around the demonstrations; a new kind is a subclass and a YAML file."""
@@ -25,7 +28,7 @@ class TrustSettings(Settings, ABC):
     )
     doubts: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)] = Field(
         description="shares of the tolerance, ascending: the first one by which comparisons must be clear of it for"
-        " least_right of them to be right holds at a place; where none suffices nothing is trusted"
+        " least_right of them to be right holds at a place; where the last is clearly not enough nothing is trusted"
     )
     needs: Literal["reached", "both"] = Field(
         description="which state must be trusted: the reached one (the paper) or also the one before"
@@ -196,7 +199,7 @@ class TrustDomain(ABC):
 
     @property
     def known(self) -> np.ndarray:
-        """Whether rewards are right often enough at every place, as booleans (S,)."""
+        """Whether rewards at every place are trusted, as booleans (S,)."""
         return np.asarray(np.isfinite(self.doubt))
 
     def outside(self, point: Array, step: int) -> str:
@@ -216,6 +219,9 @@ def calibrated(
 ) -> tuple[Array, Array]:
     """Return the share of right signs and the doubt, (S,) each, at S places.
 
+    A place is not trusted, of infinite doubt, where even the largest doubt leaves a share that is below the stated one
+    by more than chance makes of so few states (score test of a share, one-sided, at 5 %).
+
     Args:
         places: (N − 1,) the place of each state of each demonstration.
         signs: (N − 1, L, 2) of each, as :meth:`TrustDomain.fit` takes them.
@@ -223,17 +229,21 @@ def calibrated(
         window: neighbours to either side that count too; a place without any state is like those next to it.
         settings: the stated share, and the L doubts.
     """
-    totals = np.zeros((count, len(settings.doubts), 2))
+    totals, states = np.zeros((count, len(settings.doubts), 2)), np.zeros(count)
     for where, counted in zip(places, signs, strict=True):
         np.add.at(totals, where, counted)
-    around = np.array([totals[max(0, i - window) : i + window + 1].sum(axis=0) for i in range(count)])
+        np.add.at(states, where, 1.0)
+    spans = [slice(max(0, i - window), i + window + 1) for i in range(count)]
+    around, states = (np.array([values[span].sum(axis=0) for span in spans]) for values in (totals, states))
     seen = np.flatnonzero(around[:, 0, 1] > 0)
     nearest = seen[np.abs(np.arange(count)[:, None] - seen).argmin(axis=1)]
     share = around[nearest, :, 0] / around[nearest, :, 1]
-    enough = share >= settings.least_right
+    stated = settings.least_right
+    enough = share >= stated
     level = np.where(enough.any(axis=1), enough.argmax(axis=1), len(settings.doubts) - 1)
-    doubt = np.where(enough.any(axis=1), np.array(settings.doubts)[level], np.inf)
-    return share[np.arange(count), level], doubt
+    right = share[np.arange(count), level]
+    refuted = right < stated - _CHANCE * np.sqrt(stated * (1.0 - stated) / states[nearest])
+    return right, np.where(refuted, np.inf, np.array(settings.doubts)[level])
 
 
 def no_balls(turn: float) -> Balls:
