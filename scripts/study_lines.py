@@ -24,7 +24,9 @@ class Line:
         of: name of the line whose training is measured, if it has none of its own.
         method: what learns from that training's demonstrations instead, if anything does.
         baselines: what of that which learns nothing is shown below it: keys of ``eval.json`` and what they are.
+        tasks: on which it is measured.
         seeds: with which seeds it is measured.
+        shown_anew: whether it learns from demonstrations of its own, not those of the other lines.
     """
 
     name: str
@@ -34,11 +36,20 @@ class Line:
     of: str = ""
     method: Literal["", "cloning", "cloning-noise", "hg-dagger", "sqil", "dmp", "promp"] = ""
     baselines: Mapping[str, str] = field(default_factory=dict)
+    tasks: tuple[str, ...] = TASKS
     seeds: tuple[int, ...] = SEEDS
+    shown_anew: bool = False
 
     def named(self, baseline: str) -> str:
         """Return what the results of a baseline shown below the line are called."""
         return f"{self.name}/{baseline}"
+
+
+
+
+def _person(name: str, about: str, *overrides: str) -> Line:
+    floor = {"floor": "the action nearest to that person's next pose"}
+    return Line(name, f"a person {about}", overrides, baselines=floor, tasks=("shelf",), shown_anew=True)
 
 
 DEFAULT: Final = "default"
@@ -86,6 +97,11 @@ LINES: Final = (
         of=DEFAULT,
         baselines={"greedy": "greedy, starts three times wider"},
     ),
+    _person("pursuit-5", "who looks 5 mm ahead instead of 15", "person.look_ahead_m=0.005"),
+    _person("pursuit-60", "who looks 60 mm ahead", "person.look_ahead_m=0.06"),
+    _person("square", "who first returns to the path at a right angle", "person=square"),
+    _person("via", "who passes via points with the least jerk", "person=via"),
+    _person("berth", "who keeps a wide berth", "person=wide"),
     Line(
         "continued",
         "trained on to five times the actions",

@@ -207,6 +207,17 @@ def test_long_lines_have_fewer_seeds() -> None:
     assert len(set(names)) == len(names)
 
 
+def test_other_persons_are_measured_on_the_shelf_with_demonstrations_of_their_own(tmp_path: Path) -> None:
+    names = [run.line.name for run in study.runs_of(["knife"], LINES, SEEDS)]
+    assert "square" not in names
+    page = tmp_path / "page.md"
+    page.write_text(PAGE, encoding="utf-8")
+    carry_out(Run("shelf", LINE[DEFAULT], SEEDS[0], tmp_path), Launcher())
+    carry_out(Run("shelf", LINE["square"], SEEDS[0], tmp_path), Launcher(demonstrations="1" * 64))
+    held = study.write_results(tmp_path, page, tmp_path / "none.json")
+    assert {"square", "square/floor"} <= {result.line for result in held}
+
+
 def test_runs_that_learned_from_different_demonstrations_are_not_put_together(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(PAGE, encoding="utf-8")
