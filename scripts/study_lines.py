@@ -45,8 +45,6 @@ class Line:
         return f"{self.name}/{baseline}"
 
 
-
-
 def _person(name: str, about: str, *overrides: str) -> Line:
     floor = {"floor": "the action nearest to that person's next pose"}
     return Line(name, f"a person {about}", overrides, baselines=floor, tasks=("shelf",), shown_anew=True)

@@ -37,9 +37,6 @@ class AgentSettings(Settings):
     warm_up: Count = Field(description="transitions gathered before the first update")
     target_rate: float = Field(gt=0, le=1, description="share of the way the target network moves at a target update")
     target_every: Count = Field(description="updates between two target updates")
-    policy_network: Literal["online", "target"] = Field(
-        description="whose argmax is the policy: the online network, or the target as its average over many updates"
-    )
     episodes_at_once: Count = Field(description="episodes that run side by side")
     rounds_per_update: Count = Field(description="steps of all episodes between two times of updating")
     updates_per_round: Count = Field(description="updates at each such time")

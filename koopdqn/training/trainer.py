@@ -102,7 +102,7 @@ class Trainer:
     @property
     def policy(self) -> Policy:
         """The policy as it is now."""
-        return Policy(self.learner.policy_network, self._task, self.feedback.reward.model.start_frame)
+        return Policy(self.learner.online, self._task, self.feedback.reward.model.start_frame)
 
     @property
     def learned(self) -> bool:
