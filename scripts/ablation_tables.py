@@ -13,6 +13,7 @@ from koopdqn.errors import BadInputError
 
 PART: Final = "ablations"
 """Name of the page's generated part."""
+HEADS: Final = ("success [%]", "questions", "deviation [mm]", "trusted right [%]", "training [s]")
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ _FIGURES: Final[tuple[tuple[str, Format], ...]] = (
     ("oracle_queries", "count"),
     ("deviation_mm", "mm"),
     ("trusted_right", "share"),
+    ("seconds", "seconds"),
 )
 
 
@@ -86,23 +88,25 @@ def spread(values: Sequence[float | None], text: Callable[[float], str]) -> str:
 
 
 def table(rows: Sequence[Row], variants: Sequence[Variant] = VARIANTS) -> str:
-    """Return the Markdown table of all rows: a line a variant, what it differs from the default with the same seed."""
-    cases = [case.name for case in CASES]
+    """Return the Markdown table of all rows: a line a variant and case, what it differs from the default's there."""
     lines = []
     for variant in variants:
-        cells = [_cell(rows, variant.name, case) for case in cases]
-        if any(cell != "–" for cell in cells):
-            config = " ".join(f"`{item}`" for item in variant.overrides)
-            lines.append([_numbers(variant.undone), config or "the default", *cells])
-    return rows_table(("D", "override", *cases), lines)
+        config = " ".join(f"`{item}`" for item in variant.overrides)
+        named = [_numbers(variant.undone), config or "the default"]
+        for case in CASES:
+            cells = _cells(rows, variant.name, case.name)
+            if cells:
+                lines.append([*named, *cells])
+                named = ["", ""]
+    return rows_table(("D", "override", "case", *HEADS), lines)
 
 
-def _cell(rows: Sequence[Row], variant: str, case: str) -> str:
-    """Return the figures of a variant in a case: the default's own, or all others' less those."""
+def _cells(rows: Sequence[Row], variant: str, case: str) -> list[str]:
+    """Return a case's name and the figures of a variant there: the default's own, or all others' less those."""
     default = {row.seed: row for row in rows if (row.case, row.variant) == (case, DEFAULT.name)}
     own = [row for row in rows if (row.case, row.variant) == (case, variant) and row.seed in default]
     if not own:
-        return "–"
+        return []
     figures = []
     for name, kind in _FIGURES:
         values = [getattr(row, name) for row in own]
@@ -112,12 +116,11 @@ def _cell(rows: Sequence[Row], variant: str, case: str) -> str:
         others = [getattr(default[row.seed], name) for row in own]
         apart = [None if None in pair else pair[0] - pair[1] for pair in zip(values, others, strict=True)]
         figures.append(spread(apart, partial(signed, kind=kind)))
-    cell = " / ".join(figures)
     if not all(row.learned for row in own):
-        cell += f"; learned {sum(row.learned for row in own)} of {len(own)}"
+        figures[0] += f"; learned {sum(row.learned for row in own)} of {len(own)}"
     if len(own) < len(default):
-        cell += f"; seed {', '.join(str(row.seed) for row in own)} alone"
-    return cell
+        case += f", seed {', '.join(str(row.seed) for row in own)} alone"
+    return [case, *figures]
 
 
 def _numbers(undone: Sequence[int]) -> str:

@@ -30,6 +30,7 @@ CASES: Final = (
     Case("knife", ("task=knife",)),
     Case("plate", ("task=demonstrated",), "franka/plate.csv"),
     Case("pouring", ("task=demonstrated",), "franka/pouring.csv"),
+    Case("gshape", ("task=demonstrated",), "lasa/gshape.csv"),
 )
 
 

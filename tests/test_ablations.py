@@ -280,14 +280,25 @@ def test_a_cell_is_the_difference_from_the_default_with_the_same_seed() -> None:
         ROW,
     ]
     _, _, default, sign = table(rows).splitlines()
-    assert default.split(" | ")[:3] == ["| –", "the default", "100 / 12 (5 to 20) / 18.5 / 99"]
-    cell = "−25 (−50 to 0) / +498 (−3 to +1,000) / +1.5 / 0; learned 1 of 2"
-    assert sign.split(" | ")[:4] == ["| D5", "`reward.shape=sign`", cell, "–"]
+    assert default == "| – | the default | shelf | 100 | 12 (5 to 20) | 18.5 | 99 | 20 |"
+    figures = "−25 (−50 to 0); learned 1 of 2 | +498 (−3 to +1,000) | +1.5 | 0 | 0"
+    assert sign == f"| D5 | `reward.shape=sign` | shelf | {figures} |"
+
+
+def test_a_variants_cases_stand_below_one_another() -> None:
+    rows = [row for case in ("shelf", "plate") for row in (replace(PLAIN, case=case), replace(ROW, case=case))]
+    lines = table(rows).splitlines()[2:]
+    assert [line.split(" | ")[:3] for line in lines] == [
+        ["| –", "the default", "shelf"],
+        ["| ", "", "plate"],
+        ["| D5", "`reward.shape=sign`", "shelf"],
+        ["| ", "", "plate"],
+    ]
 
 
 def test_what_was_measured_with_fewer_seeds_than_the_default_says_so() -> None:
     rows = [PLAIN, replace(PLAIN, seed=1), replace(ROW, seed=1), replace(ROW, seed=2)]
-    assert "| 0 / −3 / +1.5 / 0; seed 1 alone |" in table(rows)
+    assert "| shelf, seed 1 alone | 0 | −3 | +1.5 | 0 | 0 |" in table(rows)
     assert len(table([replace(ROW, seed=2)]).splitlines()) == 2
 
 
