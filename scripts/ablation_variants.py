@@ -62,6 +62,7 @@ VARIANTS: Final = (
     Variant("sign", (5,), ("reward.shape=sign",)),
     Variant("no-goal-bonus", (5,), ("reward.goal=0.0",)),
     Variant("box", (6,), ("trust=box",)),
+    Variant("reached", (6,), ("trust.needs=reached",)),
     Variant("not-calibrated", (7,), ("trust.least_right=0.0", "trust.doubts=[0.0]")),
     Variant("paper-trust", (6, 7), ("trust=paper",)),
     Variant("trust-everywhere", (6, 7), ("trust=everywhere",)),

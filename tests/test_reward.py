@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -104,14 +105,20 @@ def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, traj
     assert SOURCES == ("rule", "trusted", "asked", "remembered", "certified")
 
 
-def test_what_must_be_trusted_is_the_reached_state(reward: IntentReward, trajectories: list[Array]) -> None:
-    trust = replace(undoubting(reward).trust, radius=0.6 * reward.trust.radius)
-    poses, steps = beside(trajectories, 3, 200, 0.012)
-    judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(poses, steps)
+@pytest.mark.parametrize("needs", ["reached", "both"])
+def test_what_must_be_trusted_is_the_reached_state_or_both(
+    reward: IntentReward, trajectories: list[Array], needs: str
+) -> None:
+    settings_ = reward.trust.settings.model_copy(update={"needs": needs})
+    trust = replace(undoubting(reward).trust, settings=settings_, radius=0.6 * reward.trust.radius)
+    judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
+    poses, steps = data
     here = trust.inside(poses, steps)
-    there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in AXES], axis=1)
-    np.testing.assert_array_equal(judged.source[:, AXES] == TRUSTED, there)
-    assert (there != here[:, None]).any(), "some case must tell the two apart"
+    there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
+    wanted = there if needs == "reached" else there & here[:, None]
+    trusted = judged.source[:, AXES] == TRUSTED
+    np.testing.assert_array_equal(trusted, wanted[:, AXES])
+    assert (there & ~here[:, None])[:, AXES].any(), "some case must tell the two apart"
 
 
 def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_start(
@@ -128,11 +135,11 @@ def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_star
     np.testing.assert_array_equal(judged.placed_reached, frame.placed(judged.reached, starts[:, None]))
     wished = model.to_step(poses, model.intended(poses, starts), reward.task.step_m)
     np.testing.assert_allclose(judged.predicted, wished, atol=1e-12)
+    here = reward.trust.inside(judged.placed, steps)
     there = [reward.trust.inside(judged.placed_reached[:, action], steps + 1) for action in AXES]
     trusted = judged.source[:, AXES] == TRUSTED
-    np.testing.assert_array_equal(trusted, np.stack(there, axis=1))
-    untold = reward.trust.inside(judged.reached[:, AXES[0]], steps + 1)
-    assert not np.array_equal(there[0], untold), "some start must tell the two apart"
+    np.testing.assert_array_equal(trusted, np.stack(there, axis=1) & here[:, None])
+    assert not np.array_equal(here, reward.trust.inside(poses, steps)), "some start must tell the two apart"
     # From the nominal start itself nothing is moved.
     nominal = following.judge(poses, steps, np.repeat(reward.task.nominal_start[None], len(poses), axis=0))
     plain = following.judge(poses, steps)

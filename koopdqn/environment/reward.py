@@ -11,7 +11,7 @@ from koopdqn.config.settings import Settings
 from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
 from koopdqn.environment.compare import excess
 from koopdqn.intent.model import IntentModel
-from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.trust import TrustDomain, Vouched
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
@@ -128,15 +128,15 @@ class IntentReward:
         if starts is not None:
             placed = self.model.start_frame.placed(poses, starts)
             placed_reached = self.model.start_frame.placed(reached, starts[:, None])
-        predicted = self._predicted(placed, self.trust.vouched(placed, steps).shown)
+        here = self.trust.vouched(placed, steps)
+        predicted = self._predicted(placed, here.shown)
         if starts is not None:
             predicted = self.model.start_frame.unplaced(predicted, starts, poses)
         if self.settings.prediction == "rescaled":
             predicted = self.model.to_step(poses, predicted, self.task.step_m)
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
-        there = self.trust.vouched(placed_reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
-        shown, answered, doubt = (values.reshape(-1, COUNT) for values in (there.shown, there.answered, there.doubt))
+        shown, answered, doubt = self._vouched(here, placed_reached, steps)
         certain = certain_signs(margin, doubt)
         unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
             pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
@@ -164,6 +164,17 @@ class IntentReward:
         """Return the predicted next poses (N, 7) of placed poses; where demonstrations vouch, answers move nothing."""
         fitted = self.model.fitted.predict(poses)
         return np.where(shown[:, None], fitted, self.model.moved(poses, fitted))
+
+    def _vouched(self, here: Vouched, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
+        """Return for which actions (N, 10) demonstrations vouch, for which an answer must, and the doubt of each."""
+        after = self.trust.vouched(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
+        shown, answered = after.shown.reshape(-1, COUNT), after.answered.reshape(-1, COUNT)
+        doubt = after.doubt.reshape(-1, COUNT)
+        if self.trust.settings.needs == "reached":
+            return shown, answered, doubt
+        both = (shown | answered) & (here.shown | here.answered)[:, None]
+        shown = shown & here.shown[:, None]
+        return shown, both & ~shown, np.maximum(doubt, here.doubt[:, None])
 
 
 def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, Strict
@@ -29,6 +29,9 @@ class TrustSettings(Settings, ABC):
     doubts: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)] = Field(
         description="shares of the tolerance, ascending: the first one by which comparisons must be clear of it for"
         " least_right of them to be right holds at a place; where the last is clearly not enough nothing is trusted"
+    )
+    needs: Literal["reached", "both"] = Field(
+        description="which state must be trusted: the reached one (the paper) or also the one before"
     )
 
     @abstractmethod

@@ -111,7 +111,8 @@ def study(
     raw = _distances(models[shown].predict(before), after)
     rescaled = _distances(models[shown].preferred(before, task.step_m), after)
     inside = domain.inside(trajectories[shown], np.arange(len(trajectories[shown])))
-    asked = ~inside[1:]
+    # As the reward does: the reached state must be trusted, by default the one before as well.
+    asked = ~inside[1:] if trust.needs == "reached" else ~(inside[1:] & inside[:-1])
     held_out = HeldOut(shown, raw, rescaled, asked, _sixty(demonstrations, task, intent, shown))
     return IntentStudy(intent.name, reward, fitted.report, held_out)
 
