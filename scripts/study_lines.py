@@ -74,7 +74,7 @@ LINES: Final = (
     Line("cloning-noise", "behavioural cloning with noise augmentation", of=DEFAULT, method="cloning-noise"),
     Line("hg-dagger", "HG-DAgger, as many questions as the default", of=DEFAULT, method="hg-dagger"),
     Line("sqil", "SQIL on the same network", of=DEFAULT, method="sqil", seeds=FEW),
-    Line("gamma-0", "no look-ahead", ("agent.gamma=0.0",)),
+    Line("gamma-0", "no look-ahead", ("agent.gamma=0.0",), seeds=FEW),
     Line(
         "always-ask",
         "asked about every chosen action, nothing remembered",
@@ -82,7 +82,6 @@ LINES: Final = (
         seeds=FEW,
     ),
     Line("trust-everywhere", "nobody is asked, the intent model is trusted everywhere", ("trust=everywhere",)),
-    Line("wrong-answers", "one answer in twenty wrong", ("oracle=noisy", "oracle.wrong=0.05")),
     Line(
         "noisy-100",
         "ten answers in a hundred wrong, a yes counts no farther than 15 mm: at least a hundred questions",

@@ -230,7 +230,7 @@ def test_an_undo_withdraws_the_latest_answers_even_if_a_contradiction_has_forgot
     one, two = trajectories[0][40], trajectories[0][120]
     ask(trainer, one, 4)
     ask(trainer, two, 5)
-    trainer.feedback.memory.contradict(two)
+    trainer.feedback.contradict(two)
     assert trainer.feedback.memory.numbers == [0]
     trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1)})
     ask(trainer, one, 6)
@@ -307,6 +307,21 @@ def test_skipped_questions_are_no_contradiction(make: Make) -> None:
     trainer.run()
     assert trainer.feedback.memory.contradictions == 0
     assert len(trainer.feedback.memory) == len(said) > 0
+
+
+def test_what_a_contradiction_forgets_is_not_known_to_other_episodes_of_the_round(
+    make: Make, trajectories: list[Array]
+) -> None:
+    trainer = make(Clerk(lambda question: False), feedback=REMEMBERING)
+    here, beside = trajectories[0][100], trajectories[0][101]
+    ask(trainer, here, 5)
+    assert trainer.feedback.judge(beside[None], np.array([0])).known[0, 5]
+    changes = trainer.feedback.changes
+    trainer.feedback.contradict(here)
+    assert trainer.feedback.changes == changes + 1, "whoever has judged before must judge anew"
+    assert not trainer.feedback.judge(beside[None], np.array([0])).known[0, 5]
+    trainer.feedback.contradict(here)
+    assert trainer.feedback.changes == changes + 1, "nothing is left to forget"
 
 
 def test_an_oracle_that_says_no_to_everything_contradicts_itself(make: Make) -> None:

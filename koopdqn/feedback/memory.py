@@ -107,15 +107,19 @@ class AnswerMemory:
         self.hopeless.clear()
         self._keep([number not in numbers for number in self.numbers])
 
-    def contradict(self, point: Array) -> None:
-        """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong."""
+    def contradict(self, point: Array) -> bool:
+        """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong.
+
+        Returns whether there were any.
+        """
         if not len(self):
-            return
+            return False
         noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
         if noes.any():
             self.contradictions += 1
             self.hopeless.append(tuple(point.tolist()))
             self._keep((~noes).tolist())
+        return bool(noes.any())
 
     def hopeless_near(self, point: Array, reach: float) -> bool:
         """Return whether nothing was right within a reach [m] of a pose (7,)."""

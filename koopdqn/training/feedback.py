@@ -108,6 +108,10 @@ class Feedback:
         judgement.known[recalled] = True
         return judgement
 
+    def contradict(self, point: Array) -> None:
+        """Notice that no action is left from a placed pose (7,); see :meth:`AnswerMemory.contradict`."""
+        self.changes += self.memory.contradict(point)
+
     def hopeless_near(self, point: Array) -> bool:
         """Return whether nothing at all was right near a placed pose (7,)."""
         return self.memory.hopeless_near(point, _LEAST_REACH_STEPS * self._base.task.step_m)

@@ -209,7 +209,7 @@ class Trainer:
         if action is None:
             # A question without an answer may have been about what is right.
             if not (batch.tried[index] & ~batch.stored[index]).any():
-                self.feedback.memory.contradict(judgement.placed[index])
+                self.feedback.contradict(judgement.placed[index])
             self._end(index)
             return False
         places = batch.poses[index].copy(), batch.starts[index].copy()
