@@ -95,10 +95,7 @@ def method(mean: float) -> dict[str, Any]:
         "time_stretch": {"mean": 1.0, "max": 1.5},
         "failures": {cause: int(cause == "collision") for cause in CAUSES},
         "turn": None,
-        "blade_angle_final_deg": None,
-        "fraction_until_safe": None,
-        "min_blade_distance_m": None,
-        "blade_speed_m_s": None,
+        "task_measures": {},
     }
 
 

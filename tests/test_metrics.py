@@ -18,6 +18,8 @@ from koopdqn.evaluation.schema import MethodReport
 from koopdqn.evaluation.wilson import wilson_interval
 from koopdqn.pose import Array
 from koopdqn.rollout import FAILURES, SUCCESS, Episode
+from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.task import Task
 
 TURNED_TWO_DEGREES = pose.from_rotation_vector(np.radians([2.0, 0.0, 0.0]))
 
@@ -30,8 +32,9 @@ def episode(poses: Array, outcome: str = SUCCESS) -> Episode:
     return Episode(poses, np.zeros((len(poses), 6)), outcome)
 
 
-def measured(episodes: list[Episode], references: list[Array]) -> MethodReport:
-    return measure(episodes, references, shelf().task, taught().trust, taught().model.start_frame, shelf().reachability)
+def measured(episodes: list[Episode], references: list[Array], task: Task | None = None) -> MethodReport:
+    task = task or shelf().task
+    return measure(episodes, references, task, taught().trust, taught().model.start_frame, shelf().reachability)
 
 
 @given(trials=st.integers(1, 400), data=st.data())
@@ -217,6 +220,26 @@ def test_without_any_step_nothing_is_measured_and_nothing_is_nan() -> None:
     assert report.path_length_ratio is None
     distance = np.linalg.norm(shelf().task.goal[:3]) * 1e3
     assert report.final_position_error_mm.mean == pytest.approx(distance)
+
+
+class _Measuring(ShelfTask):
+    def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
+        return {"lowest_m": float(path[:, 2].min()), "seconds": step_seconds * (len(path) - 1)}
+
+
+def test_what_a_users_task_measures_is_reported() -> None:
+    task = _Measuring.model_construct(**dict(shelf().task))
+    lines = [line((0, 0, height), (0.1, 0, height), 11) for height in (-0.1, 0.3)]
+    report = measured([episode(each) for each in lines], lines, task)
+    step = shelf().reachability.step_seconds
+    assert {name: tuple(found) for name, found in report.model_dump()["task_measures"].items()} == {
+        "lowest_m": ("mean", "min", "max"),
+        "seconds": ("mean", "min", "max"),
+    }
+    lowest, seconds = report.task_measures["lowest_m"], report.task_measures["seconds"]
+    assert (lowest.mean, lowest.min, lowest.max) == (pytest.approx(0.1), -0.1, 0.3)
+    assert seconds.max == pytest.approx(10 * step)
+    assert measured([episode(lines[0])], lines[:1]).task_measures == {}
 
 
 def test_the_tube_fraction_is_the_share_of_reached_states_inside() -> None:

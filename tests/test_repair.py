@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 from parts import Clerk
 from questions import question, written
+from small_run import SMALL
 
 from koopdqn import cli
 from koopdqn.errors import BadInputError
@@ -128,3 +129,15 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert cli.main(["feedback", "merge", str(folder), str(other), "--out", str(out)]) == 0
     assert cli.main(["feedback", "show", str(tmp_path / "nowhere")]) == 2
     assert "must name a journal or a run folder that holds feedback.jsonl" in capsys.readouterr().err
+
+
+def test_an_edit_of_what_a_run_has_learned_from_is_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "run"
+    given = (*SMALL, "task=shelf", "trust=nowhere", "train.max_steps=600")
+    assert cli.main(["train", *given, f"out={folder}"]) == 1
+    asked = json.loads((folder / "train.json").read_text())["oracle_queries"]
+    assert asked == len(read_records(folder / "feedback.jsonl").items) > 1
+    capsys.readouterr()
+    assert cli.main(["feedback", "edit", str(folder), str(asked - 1), "skip"]) == 0
+    assert f"has learned from answer {asked - 1} already and cannot go on" in capsys.readouterr().err
+    assert read_records(folder / "feedback.jsonl").items[-1].line.right is None

@@ -77,12 +77,12 @@ def merge(journals: Sequence[Path], out: Path) -> None:
 def _learned_answers(folder: Path) -> int:
     """Return how many answers the run in a folder has learned from; 0 if it holds none."""
     # It loads torch, which journals elsewhere need not wait for.
-    from koopdqn.training.checkpoint import KIND, checkpoint_path
+    from koopdqn.training.checkpoint import KIND, checkpoint_path, questions_asked
 
     path = checkpoint_path(folder)
     if not path.exists():
         return 0
-    return int(read_artifact(path, KIND).about["state"]["counters"]["questions"])
+    return questions_asked(read_artifact(path, KIND))
 
 
 def _answers(title: str, records: Records) -> Table:

@@ -16,7 +16,7 @@ from koopdqn.feedback.journal import JOURNAL, JournalledOracle
 from koopdqn.files import write_json
 from koopdqn.intent.fitting import agent_steps
 from koopdqn.result import CommandResult
-from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
+from koopdqn.training.checkpoint import questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.training.events import EventLog
 from koopdqn.training.feedback import Budget
 from koopdqn.training.gathering import Asking
@@ -41,7 +41,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by)
-    answered = 0 if checkpoint is None else int(checkpoint.arrays["feedback/questions"])
+    answered = 0 if checkpoint is None else questions_asked(checkpoint)
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
     oracle = JournalledOracle(config.oracle.open(workcell, config.inputs.seed, folder), folder / JOURNAL, answered)
     trajectories = intent.model.start_frame.each(agent_steps(demonstrations, config.task))

@@ -7,7 +7,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.environment.reachability import Reachability
 from koopdqn.evaluation.deviation import deviations
-from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviation, Range, Summary, TurnReport
+from koopdqn.evaluation.schema import LateralDeviation, Measure, MethodReport, PathDeviation, Range, Summary, TurnReport
 from koopdqn.evaluation.wilson import wilson_interval
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
@@ -17,8 +17,6 @@ from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 
 _MILLIMETRES = 1e3
-# What tasks measure of their own (:meth:`koopdqn.tasks.task.Task.measures`).
-_OWN = ("blade_angle_final_deg", "fraction_until_safe", "min_blade_distance_m", "blade_speed_m_s")
 
 
 def measure(
@@ -70,7 +68,7 @@ def measure(
         time_stretch=_time_stretch(episodes, reachability),
         failures={cause: outcomes[cause] for cause in FAILURES},
         turn=turn_report(paths, task) if task.orientation == "learned" else None,
-        **_own_measures(paths, task, reachability.step_seconds),
+        task_measures=_task_measures(paths, task, reachability.step_seconds),
     )
 
 
@@ -95,9 +93,12 @@ def turn_report(paths: list[Array], task: Task) -> TurnReport:
     return TurnReport(half_before_third=float(np.mean(leads)) if leads else None, while_moving=_range(shares))
 
 
-def _own_measures(paths: list[Array], task: Task, step_seconds: float) -> dict[str, Range | None]:
+def _task_measures(paths: list[Array], task: Task, step_seconds: float) -> dict[str, Measure]:
     each = [task.measures(path, step_seconds) for path in paths]
-    return {name: _range([values[name] for values in each]) if each and name in each[0] else None for name in _OWN}
+    columns = {name: [values[name] for values in each] for name in (each[0] if each else ())}
+    return {
+        name: Measure(mean=float(np.mean(values)), min=min(values), max=max(values)) for name, values in columns.items()
+    }
 
 
 def _range(values: list[float]) -> Range:

@@ -41,6 +41,14 @@ class Range(ReportModel):
     max: NonNegative | None = Field(description="largest of all episodes")
 
 
+class Measure(ReportModel):
+    """A quantity that a task measures of its own, over episodes."""
+
+    mean: float = Field(description="mean over episodes")
+    min: float = Field(description="least of all episodes")
+    max: float = Field(description="largest of all episodes")
+
+
 class TurnReport(ReportModel):
     """How the turn goes along with the motion, over the measured episodes; only where orientation is learned."""
 
@@ -89,14 +97,13 @@ class MethodReport(ReportModel):
     )
     failures: dict[str, NonNegativeInt] = Field(description="failed episodes by cause; every cause is present")
     turn: TurnReport | None = Field(description="how turn and motion go together; null where orientation is held")
-    blade_angle_final_deg: Range | None = Field(description="knife: angle of the edge to straight down at the end")
-    fraction_until_safe: Range | None = Field(
-        description="knife: share of the path until the edge stays within the safe angle; 1 if it never does"
+    task_measures: dict[str, Measure] = Field(
+        description="what the task measures of its own (`Task.measures`), over the measured episodes: by name, in the"
+        " unit that the name ends in, objects of mean, min and max; knife: `blade_angle_final_deg`, of the edge to"
+        " straight down at the end; `fraction_until_safe`, share of the path until the edge stays within the safe"
+        " angle, 1 if it never does; `min_blade_distance_m`, from the blade's nearest point to the receiver;"
+        " `blade_speed_m_s`, largest of the blade's tip"
     )
-    min_blade_distance_m: Range | None = Field(
-        description="knife: least distance on the way from the nearest point of the blade to the receiver [m]"
-    )
-    blade_speed_m_s: Range | None = Field(description="knife: largest speed of the blade's tip on the way [m/s]")
 
 
 class Contacts(ReportModel):

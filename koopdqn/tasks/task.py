@@ -112,7 +112,10 @@ class Task(TaskChoice):
         return np.ones_like(share)
 
     def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
-        """Return what evaluation reports of a path (T, 7) for this task alone, by key of ``eval.json``."""
+        """Return what evaluation reports of a path (T, 7) for this task alone: ``task_measures`` of ``eval.json``.
+
+        Every path gives the same names; a step takes ``step_seconds`` [s].
+        """
         return {}
 
     @property

@@ -55,6 +55,11 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     return artifact
 
 
+def questions_asked(checkpoint: Artifact) -> int:
+    """Return how many questions had reached the oracle when a run's checkpoint was saved."""
+    return int(checkpoint.arrays["feedback/questions"])
+
+
 def _differences(name: str, began: Any, now: Any) -> list[str]:
     """Return what is different in two contents of JSON, by the dotted names of their keys and places."""
     if isinstance(began, list) and isinstance(now, list) and len(began) == len(now):
