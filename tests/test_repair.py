@@ -133,7 +133,7 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 def test_an_edit_of_what_a_run_has_learned_from_is_told_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "run"
-    given = (*SMALL, "task=shelf", "trust=nowhere", "train.max_steps=600")
+    given = (*SMALL, "task=shelf", "trust=nowhere", "train.max_steps=6000")
     assert cli.main(["train", *given, f"out={folder}"]) == 1
     asked = json.loads((folder / "train.json").read_text())["oracle_queries"]
     assert asked == len(read_records(folder / "feedback.jsonl").items) > 1
