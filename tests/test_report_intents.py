@@ -46,6 +46,19 @@ def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
     assert narrow.sum() > wide.sum()
 
 
+def test_a_study_validates_once(
+    demonstrations: "Demonstrations", paper: "Parts", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits = []
+    kind = type(paper.intent)
+    fitted = kind.fit
+    monkeypatch.setattr(kind, "fit", lambda *given: fits.append(len(given[1])) or fitted(*given))
+    three = first(demonstrations, 3)
+    study(three, paper.task, paper.intent, paper.trust, paper.reward)
+    # The whole and, in sixty samples, the fold that is shown; those of the cross-validation are fitted together.
+    assert sorted(fits) == [2, 3]
+
+
 def test_a_study_is_json(demonstrations: "Demonstrations", paper: "Parts") -> None:
     import json
 

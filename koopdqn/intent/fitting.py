@@ -19,7 +19,7 @@ from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.schema import FitReport
 from koopdqn.intent.signs import jackknifed
 from koopdqn.intent.trust import TrustDomain, TrustSettings
-from koopdqn.intent.validation import cross_validate, sizes_of
+from koopdqn.intent.validation import Fold, cross_validate, sizes_of
 from koopdqn.pose import Array
 from koopdqn.tasks.path import arc_lengths
 from koopdqn.tasks.task import TURNS_PER_STEP, Task
@@ -43,11 +43,15 @@ class Fitted:
         model: fitted to all demonstrations.
         trust: where to rely on it.
         report: the content of ``fit.json``.
+        folds: of the cross-validation, one for each demonstration; none for a single one.
+        signs: (N − 1, L, 2) for each demonstration, as :meth:`TrustDomain.fit` takes them.
     """
 
     model: IntentModel
     trust: TrustDomain
     report: dict[str, Any]
+    folds: tuple[Fold, ...]
+    signs: list[Array]
 
 
 def agent_steps(demonstrations: Demonstrations, task: Task) -> list[Array]:
@@ -125,7 +129,7 @@ def fit(
         "sixty_samples": sixty_samples(demonstrations, task, intent.with_ridge(found.ridge)),
     }
     checked = FitReport.model_validate(report).model_dump(mode="json")
-    return Fitted(model, domain, checked)
+    return Fitted(model, domain, checked, found.folds, signs)
 
 
 def _check(demonstrations: Demonstrations, task: Task) -> None:

@@ -9,11 +9,11 @@ from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.resample import to_count
 from koopdqn.environment.reward import RewardSettings
-from koopdqn.intent.fitting import agent_steps, fit
+from koopdqn.intent.fitting import fit
 from koopdqn.intent.measures import sampled_at
 from koopdqn.intent.model import IntentModel, IntentSettings
-from koopdqn.intent.signs import along_mean, counted
 from koopdqn.intent.trust import TrustDomain, TrustSettings
+from koopdqn.intent.validation import sizes_of
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
@@ -99,17 +99,9 @@ def study(
     """
     fitted = fit(demonstrations, task, intent, trust, reward)
     intent = intent.with_ridge(fitted.report["ridge"])
-    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
-    models = [IntentModel.fit(_without(trajectories, index), task, intent) for index in range(len(trajectories))]
-    law = along_mean(trajectories, task)
-    signs = [
-        counted(model, rows[:-1], law.next_pose(rows[:-1]), task, reward.prediction, trust.doubts)
-        for model, rows in zip(models, trajectories, strict=True)
-    ]
-    domain = TrustDomain.fit(_without(trajectories, shown), _without(signs, shown), task.frame, trust)
-    before, after = trajectories[shown][:-1], trajectories[shown][1:]
-    raw = _distances(models[shown].predict(before), after)
-    rescaled = _distances(models[shown].preferred(before, task.step_m), after)
+    trajectories = [fold.held_out for fold in fitted.folds]
+    domain = TrustDomain.fit(_without(trajectories, shown), _without(fitted.signs, shown), task.frame, trust)
+    raw, rescaled = sizes_of(fitted.folds[shown].error), sizes_of(fitted.folds[shown].rescaled)
     inside = domain.inside(trajectories[shown], np.arange(len(trajectories[shown])))
     # As the reward does: the reached state must be trusted, by default the one before as well.
     asked = ~inside[1:] if trust.needs == "reached" else ~(inside[1:] & inside[:-1])
