@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import Parts
+from report_runs import knife_parts
 from rich.text import Text
 
 from koopdqn.environment.actions import COUNT, reached_poses
@@ -119,3 +120,15 @@ def test_the_picture_shows_the_motion_larger_and_marks_where_things_are(workcell
         x, y = situation.marks[mark]
         assert 0 <= x < 1
         assert 0 <= y < 1
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40)])
+def test_the_two_columns_of_keys_stand_apart_and_whole(asked: Question, width: int, height: int) -> None:
+    task = knife_parts().task
+    start = task.nominal_start
+    there = replace(asked, pose=start, candidates=reached_poses(start[None], task)[0])
+    lines = [line.plain for line in compose(Shown(task, "anna", there), width, height, pictures=True)]
+    texts = wording.choices(there, task)
+    for action in range(COUNT // 2):
+        (row,) = [line for line in lines if f"{action} {texts[action]}  " in line]
+        assert row.endswith(f"{action + COUNT // 2}{'*' if action + 5 == asked.action else ' '}{texts[action + 5]}")

@@ -178,10 +178,10 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
     keys.append(Text("Better, by key (mm to the goal):", style=_BOLD))
     texts = wording.choices(question, shown.task)
     half = (len(texts) + 1) // 2
-    for row in range(half):
-        cells = (_choice(action, texts[action], question.action) for action in (row, row + half))
-        first, second = cells
-        first.pad_right(max(0, 25 - len(first)))
+    cells = [_choice(action, text, question.action) for action, text in enumerate(texts)]
+    column = max(len(cell) for cell in cells[:half]) + GAP
+    for first, second in zip(cells[:half], cells[half:], strict=True):
+        first.pad_right(column - len(first))
         keys.append(first + second)
     # On a small screen the question and its keys must stand, whatever else does not.
     fits = len(lines) + len(learning) + len(keys) <= body
