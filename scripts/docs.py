@@ -95,8 +95,8 @@ def key_table(model: type[ReportModel]) -> str:
             shown = own if _is_quantity(kind) else ""
             rows.append((f"`{prefix}{name}`", kind, shape[1] if shape else _length(node), shown or "–", meaning))
             if below and below not in known:
-                deeper = f"{prefix}{name}[]." if kind.startswith("list") else f"{prefix}{name}."
-                add(schema["$defs"][below]["properties"], deeper, own)
+                mark = "[]" if kind.startswith("list") else ".NAME" if kind.startswith("object of") else ""
+                add(schema["$defs"][below]["properties"], f"{prefix}{name}{mark}.", own)
 
     add(schema["properties"], "", "")
     return rows_table(("key", "type", "shape", "unit", "meaning"), rows)
@@ -130,7 +130,8 @@ def _kind(node: Mapping[str, Any]) -> tuple[str, str]:
         kind, inner = _kind(node["items"])
         return f"list of {_plural(kind)}", inner
     if node["type"] == "object":
-        return f"object of {_plural(_kind(node['additionalProperties'])[0])}", ""
+        kind, inner = _kind(node["additionalProperties"])
+        return f"object of {_plural(kind)}", inner
     if node["type"] == "null":
         return "null", ""
     kind = _NAMES[node["type"]]

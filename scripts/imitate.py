@@ -17,6 +17,7 @@ from time import monotonic
 from typing import Any, Final
 
 import numpy as np
+from imitation.imitator import Imitator
 from primitives import PRIMITIVES, Primitive, learn
 
 from koopdqn.commands import stages
@@ -26,7 +27,6 @@ from koopdqn.config.overrides import prepare
 from koopdqn.demonstrations.resample import to_step
 from koopdqn.exit_status import guard
 from koopdqn.files import read_json, write_json
-from koopdqn.imitation.imitator import Imitator
 from koopdqn.intent.fitting import agent_steps
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.pose import Array
@@ -107,9 +107,9 @@ def _learned(
     step_limit: int,
     questions: int,
 ) -> Imitator:
-    from koopdqn.imitation.cloning import Noise, clone
-    from koopdqn.imitation.hg_dagger import HgDagger
-    from koopdqn.imitation.sqil import Sqil
+    from imitation.cloning import Noise, clone
+    from imitation.hg_dagger import HgDagger
+    from imitation.sqil import Sqil
 
     seed, frame = config.inputs.seed, intent.model.start_frame
     if method == "hg-dagger":

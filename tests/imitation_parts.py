@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from imitation.imitator import Imitator
 from parts import load_parts
 from small_run import SMALL
 
 from koopdqn.demonstrations.generator import generate
 from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.settings import AgentSettings
-from koopdqn.imitation.imitator import Imitator
 from koopdqn.intent.fitting import agent_steps
 from koopdqn.pose import Array
 from koopdqn.rollout import SUCCESS, roll_out

@@ -1,29 +1,24 @@
 import importlib
 import json
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import ablations
 import pytest
+from ablation_tables import Row, shown, signed, spread, table, with_table
+from ablation_variants import ALL_TRIED, CASES, DEFAULT, VARIANTS, Variant
+from ablations import Run
 from hypothesis import given
 from hypothesis import strategies as st
+from measured_runs import carry_out
 
 from koopdqn.commands.configuration import Configuration
 from koopdqn.config.compose import composed
 from koopdqn.config.overrides import prepare
 from koopdqn.errors import BadInputError
-
-# The Makefile runs scripts as files, which puts their folder first on the path.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-import ablations
-from ablation_tables import Row, shown, signed, spread, table, with_table
-from ablation_variants import ALL_TRIED, CASES, DEFAULT, VARIANTS, Variant
-from ablations import Run
-from measured_runs import carry_out
 
 ROOT = Path(__file__).resolve().parents[1]
 ROW = Row(

@@ -2,13 +2,13 @@
 
 import numpy as np
 import torch
+from imitation.cloning import Noise, clone
+from imitation.imitator import Imitator
+from imitation.inferred import demonstrated_steps, demonstrated_transitions
 from imitation_parts import parameters, short, success
 
 from koopdqn import pose
 from koopdqn.environment.compare import nearest_actions
-from koopdqn.imitation.cloning import Noise, clone
-from koopdqn.imitation.imitator import Imitator
-from koopdqn.imitation.inferred import demonstrated_steps, demonstrated_transitions
 from koopdqn.tasks.start_frame import STILL, StartFrame
 
 NOISE = Noise(position_m=0.004, rotation_rad=0.05)

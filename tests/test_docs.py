@@ -199,7 +199,8 @@ def keys_of(model: type[ReportModel]) -> set[str]:
         for part in re.findall(r"[\w.]*\.(\w+)", str(field.annotation)):
             inner = getattr(sys.modules[model.__module__], part, None)
             if isinstance(inner, type) and issubclass(inner, ReportModel) and not issubclass(model, inner):
-                found |= {f"{name}.{key}" for key in keys_of(inner)}
+                mark = ".NAME" if str(field.annotation).startswith("dict") else ""
+                found |= {f"{name}{mark}.{key}" for key in keys_of(inner)}
     return found
 
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 import torch
+from imitation.hg_dagger import HgDagger
+from imitation.imitator import Imitator
 from imitation_parts import STEP_LIMIT, parameters, short
-
-from koopdqn.imitation.hg_dagger import HgDagger
-from koopdqn.imitation.imitator import Imitator
 
 
 def begun(seed: int = 0) -> HgDagger:

@@ -3,12 +3,12 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from imitation.inferred import demonstrated_transitions
 
 from koopdqn import pose
 from koopdqn.dqn.observation import observe
 from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
 from koopdqn.environment.compare import excess, nearest_actions
-from koopdqn.imitation.inferred import demonstrated_transitions
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
 

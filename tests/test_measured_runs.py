@@ -1,6 +1,5 @@
 """Runs of scripts, made side by side."""
 
-import sys
 from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,13 +8,9 @@ from threading import Barrier, Lock
 from time import monotonic
 
 import pytest
+from measured_runs import JOBS, Command, add_jobs, call, measure
 
 from koopdqn.errors import BadInputError
-
-# The Makefile runs scripts as files, which puts their folder first on the path.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-from measured_runs import JOBS, Command, add_jobs, call, measure
 
 
 @dataclass

@@ -1,18 +1,11 @@
 """Movement primitives of demonstrated poses."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from helpers_shown import arc
+from primitives import PRIMITIVES, learn
 
 from koopdqn import pose
-
-# The Makefile runs scripts as files, which puts their folder first on the path.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-from primitives import PRIMITIVES, learn
 
 SHOWN = [arc(offset) for offset in (-0.03, -0.01, 0.0, 0.01, 0.03)]
 

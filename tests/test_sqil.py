@@ -2,11 +2,11 @@
 
 import numpy as np
 import torch
+from imitation.inferred import demonstrated_transitions
+from imitation.sqil import Sqil
 from imitation_parts import STEP_LIMIT, parameters, short, success
 
 from koopdqn.dqn.policy import Policy
-from koopdqn.imitation.inferred import demonstrated_transitions
-from koopdqn.imitation.sqil import Sqil
 
 GAMMA = 0.75
 

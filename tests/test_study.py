@@ -1,28 +1,23 @@
 """The study: its runs, how they go on, and its tables."""
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import study
 from hypothesis import given
 from hypothesis import strategies as st
-
-from koopdqn.config.resources import conf_dir
-from koopdqn.errors import BadInputError
-from koopdqn.evaluation.schema import Baselines
-
-# The Makefile runs scripts as files, which puts their folder first on the path.
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
-
-import study
 from imitate import IMITATION, METHODS
 from measured_runs import carry_out
 from study import Run
 from study_lines import COMPARISONS, DEFAULT, EVALUATION_SEED, LINES, SEEDS, TASKS, Comparison, Line
 from study_tables import PaperRun, Result, comparison_table, least_check, table, with_tables
+
+from koopdqn.config.resources import conf_dir
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.schema import Baselines
 
 LINE = {line.name: line for line in LINES}
 MEASURED = tuple(Baselines.model_fields)

@@ -7,14 +7,14 @@ import numpy as np
 import torch
 from torch import nn
 
+from imitation.imitator import Imitator
+from imitation.inferred import demonstrated_steps
 from koopdqn import pose
 from koopdqn.dqn.network import QNetwork
 from koopdqn.dqn.observation import observe, size
 from koopdqn.dqn.policy import Policy
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.compare import nearest_actions
-from koopdqn.imitation.imitator import Imitator
-from koopdqn.imitation.inferred import demonstrated_steps
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task

@@ -7,6 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from imitation.imitator import Imitator
+from imitation.inferred import demonstrated_transitions
 from koopdqn.dqn.exploring import start_sampler
 from koopdqn.dqn.learner import Learner
 from koopdqn.dqn.observation import observe, size
@@ -16,8 +18,6 @@ from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.actions import COUNT, reached_poses
 from koopdqn.environment.episodes import EpisodeBatch
 from koopdqn.environment.reward import NO_ANSWER, RULE
-from koopdqn.imitation.imitator import Imitator
-from koopdqn.imitation.inferred import demonstrated_transitions
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.workcell import Workcell

@@ -4,12 +4,12 @@ from typing import Final
 
 import numpy as np
 
+from imitation.cloning import Cloning
+from imitation.imitator import Imitator
 from koopdqn.dqn.settings import AgentSettings
 from koopdqn.environment.actions import reached_poses
 from koopdqn.environment.compare import nearest_actions, within_tolerance
 from koopdqn.feedback.scripted import demonstrator_wishes
-from koopdqn.imitation.cloning import Cloning
-from koopdqn.imitation.imitator import Imitator
 from koopdqn.pose import Array
 from koopdqn.rollout import roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame
