@@ -38,9 +38,10 @@ test: $(STAMP) ## Run the fast tests
 learn: $(STAMP) ## Run the slow tests, which learn whole tasks
 	$(BIN)/python -m pytest -m slow
 
-lint: $(STAMP) ## Check style and formatting
+lint: $(STAMP) ## Check style, formatting, and that imports run one way without circles
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache
 
 format: $(STAMP) ## Mend formatting, and what style rules can mend by themselves
 	$(BIN)/ruff check --fix .

@@ -2,7 +2,7 @@
 
 import sys
 
-from koopdqn.cli import main
+from koopdqn.app.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

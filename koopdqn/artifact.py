@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from koopdqn.config.settings import TARGET, Settings
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path, canonical_json
+from koopdqn.settings import TARGET, Settings
 
 FORMAT_VERSION = 1
 _KEY = "koopdqn"
@@ -127,7 +127,7 @@ def check_task(what: str, found: Any, task: Settings) -> None:
 
 
 def described(settings: Settings) -> dict[str, Any]:
-    """Return settings as JSON values that :func:`koopdqn.config.settings.load_settings` turns back into them."""
+    """Return settings as JSON values that :func:`koopdqn.settings.load_settings` turns back into them."""
     cls = type(settings)
     node: dict[str, Any] = {TARGET: f"{cls.__module__}.{cls.__qualname__}"}
     for name, field in cls.model_fields.items():

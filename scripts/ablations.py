@@ -25,8 +25,8 @@ from ablation_variants import CASES, VARIANTS, Case, Variant
 from measured_runs import Command, Launch, Training, add_jobs, launch
 
 from koopdqn import console
+from koopdqn.app.exit_status import guard
 from koopdqn.errors import BadInputError
-from koopdqn.exit_status import guard
 from koopdqn.files import read_json, write_json, write_text
 
 FOLDER: Final = Path("runs") / "ablations"

@@ -17,18 +17,18 @@ from hydra import compose, initialize_config_dir
 from rich.console import Console
 from rich.table import Table
 
-from koopdqn.commands.configuration import Configuration
-from koopdqn.config.resources import asset_path, conf_dir
+from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.generator import generate
-from koopdqn.dqn.learner import Learner
-from koopdqn.dqn.observation import observe, size
-from koopdqn.dqn.replay import ReplayBuffer, Transitions
-from koopdqn.environment.actions import COUNT
-from koopdqn.environment.reward import IntentReward
-from koopdqn.intent.fitting import Fitted, agent_steps, fit
+from koopdqn.demonstrations.generate import generate
+from koopdqn.intent.fit import Fitted, agent_steps, fit
+from koopdqn.intent.reward import IntentReward
+from koopdqn.resources import asset_path, conf_dir
+from koopdqn.rl.dqn import Learner
+from koopdqn.rl.network import observe, size
+from koopdqn.rl.replay_buffer import ReplayBuffer, Transitions
 from koopdqn.robot.arm import Arm
-from koopdqn.workcell import open_workcell
+from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.workcell import open_workcell
 
 REPEATS = 7
 

@@ -155,8 +155,8 @@ def check_wheel(wheel: Path, project: dict[str, Any]) -> None:
     compare(wheel.name, found, expected | {f"{info}/{name}" for name in DIST_INFO_FILES})
     if "koopdqn/py.typed" not in found:
         raise GateError(f"{wheel.name} must hold koopdqn/py.typed, so that users' type checkers read our types")
-    if "koopdqn = koopdqn.cli:main" not in entry_points:
-        raise GateError(f"the entry point must be `koopdqn = koopdqn.cli:main`; found {entry_points.strip()!r}")
+    if "koopdqn = koopdqn.app.cli:main" not in entry_points:
+        raise GateError(f"the entry point must be `koopdqn = koopdqn.app.cli:main`; found {entry_points.strip()!r}")
     check_metadata(metadata, project)
 
 

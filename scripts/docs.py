@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from koopdqn.app.recording.log import KeyLine, SessionLine
 from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.feedback.schema import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
 from koopdqn.intent.schema import FitReport
-from koopdqn.recording.schema import KeyLine, SessionLine
-from koopdqn.reporting.schema import ReportFile
+from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
+from koopdqn.report.runs import ReportFile
+from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
-from koopdqn.training.schema import TrainReport
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 README: Final = ROOT / "README.md"

@@ -20,19 +20,19 @@ import numpy as np
 from imitation.imitator import Imitator
 from primitives import PRIMITIVES, Primitive, learn
 
-from koopdqn.commands import stages
-from koopdqn.commands.configuration import Configuration
-from koopdqn.config.compose import composed
-from koopdqn.config.overrides import prepare
-from koopdqn.demonstrations.resample import to_step
-from koopdqn.exit_status import guard
+from koopdqn.app.commands import stages
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.exit_status import guard
+from koopdqn.app.hydra.compose import composed
+from koopdqn.app.hydra.overrides import prepare
 from koopdqn.files import read_json, write_json
-from koopdqn.intent.fitting import agent_steps
+from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import StoredIntent, read_intent
+from koopdqn.paths import to_step
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, Controller, follow, roll_out
+from koopdqn.tasks.rollout import SUCCESS, Controller, follow, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 METHODS: Final = ("cloning", "cloning-noise", "hg-dagger", "sqil", *PRIMITIVES)
 IMITATION: Final = "imitation.json"
@@ -132,9 +132,9 @@ def _evaluated(
     step_limit: int,
     run: Path,
 ) -> dict[str, Any]:
-    from koopdqn.environment.reward import IntentReward
     from koopdqn.evaluation.evaluate import evaluate
     from koopdqn.evaluation.schema import EvaluationFile
+    from koopdqn.intent.reward import IntentReward
 
     reward = IntentReward(config.task, intent.model, intent.trust, config.reward)
     evaluation = evaluate(workcell, learned.policy, reward, trajectories, config.eval, step_limit).report

@@ -25,8 +25,8 @@ from koopdqn import console, pose
 from koopdqn.demonstrations.csv import read_csv
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.resample import mean_poses, to_count
 from koopdqn.errors import BadInputError
+from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
 
 LEAST = 3
@@ -146,7 +146,7 @@ def _figures(train: dict[str, Any], report: dict[str, Any], run: Path) -> dict[s
 
 def _primitives(shown: Sequence[Array], held_out: Array) -> dict[str, float]:
     """Return the Hausdorff distance [mm] of movement primitives of poses (N, 7), from start and to goal given."""
-    from koopdqn.tasks.path import hausdorff
+    from koopdqn.paths import hausdorff
 
     goal, found = mean_poses(list(shown), len(shown[0]))[-1], {}
     for name in PRIMITIVES:

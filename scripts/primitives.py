@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import mean_poses, to_count
+from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
 
 PRIMITIVES: Final = ("dmp", "promp")

@@ -24,10 +24,10 @@ from study_lines import EVALUATION_SEED, LINES, SEEDS, TASKS, Line
 from study_tables import PaperRun, Result, least_check, with_tables
 
 from koopdqn import console
-from koopdqn.config.settings import validate
+from koopdqn.app.exit_status import guard
 from koopdqn.errors import BadInputError
-from koopdqn.exit_status import guard
 from koopdqn.files import read_json, write_json, write_text
+from koopdqn.settings import validate
 
 FOLDER: Final = Path("runs") / "study"
 PAGE: Final = Path("docs") / "study.md"

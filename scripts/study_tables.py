@@ -10,8 +10,8 @@ from pydantic import Field
 from study_lines import COMPARISONS, LINES, PAPER, Comparison, Line
 
 from docs import replaced, rows_table
-from koopdqn.config.settings import Fraction, NonNegative, NonNegativeInt, Settings
 from koopdqn.errors import BadInputError
+from koopdqn.settings import Fraction, NonNegative, NonNegativeInt, Settings
 
 PART: Final = "study"
 """Name of the page's generated part."""

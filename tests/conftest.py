@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
-    from koopdqn.environment.reward import IntentReward
-    from koopdqn.intent.fitting import Fitted
+    from koopdqn.intent.fit import Fitted
+    from koopdqn.intent.reward import IntentReward
     from koopdqn.pose import Array
     from koopdqn.robot.ur import URArm
     from koopdqn.tasks.shelf import ShelfTask
-    from koopdqn.workcell import Workcell
+    from koopdqn.tasks.workcell import Workcell
 
 # MuJoCo reads this once, at its first import; unset it means GLFW, which needs a display.
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -63,7 +63,7 @@ def shelf_task(parts: "Parts") -> "ShelfTask":
 
 @pytest.fixture(scope="session")
 def workcell(shelf_task: "ShelfTask", arm: "URArm") -> "Workcell":
-    from koopdqn.workcell import open_workcell
+    from koopdqn.tasks.workcell import open_workcell
 
     return open_workcell(shelf_task, arm)
 
@@ -73,7 +73,7 @@ def demonstrations_of(workcell: "Workcell", parts: "Parts") -> "Callable[[int], 
     """Five demonstrations of the shelf task by seed, each set generated once."""
     from functools import cache
 
-    from koopdqn.demonstrations.generator import generate
+    from koopdqn.demonstrations.generate import generate
 
     @cache
     def generated(seed: int) -> "Demonstrations":
@@ -90,20 +90,20 @@ def demonstrations(demonstrations_of: "Callable[[int], Demonstrations]") -> "Dem
 @pytest.fixture(scope="session")
 def trajectories(demonstrations: "Demonstrations", shelf_task: "ShelfTask") -> "list[Array]":
     """The demonstrations' poses at the agent's step."""
-    from koopdqn.intent.fitting import agent_steps
+    from koopdqn.intent.fit import agent_steps
 
     return agent_steps(demonstrations, shelf_task)
 
 
 @pytest.fixture(scope="session")
 def fitted(demonstrations: "Demonstrations", parts: "Parts") -> "Fitted":
-    from koopdqn.intent.fitting import fit
+    from koopdqn.intent.fit import fit
 
     return fit(demonstrations, parts.task, parts.intent, parts.trust, parts.reward)
 
 
 @pytest.fixture(scope="session")
 def reward(parts: "Parts", fitted: "Fitted") -> "IntentReward":
-    from koopdqn.environment.reward import IntentReward
+    from koopdqn.intent.reward import IntentReward
 
     return IntentReward(parts.task, fitted.model, fitted.trust, parts.reward)

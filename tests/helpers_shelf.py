@@ -6,13 +6,13 @@ from functools import cache
 import numpy as np
 from parts import load_parts
 
-from koopdqn.demonstrations.generator import generate
-from koopdqn.environment.reward import IntentReward
-from koopdqn.intent.fitting import agent_steps, fit
+from koopdqn.demonstrations.generate import generate
+from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.model import IntentModel
+from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 PARTS = load_parts()
 

@@ -3,10 +3,10 @@
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.config.settings import load_settings
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.pose import Array
+from koopdqn.settings import load_settings
 from koopdqn.tasks.task import TaskChoice
 
 HORIZONTAL = np.array([0.70710678, 0.0, 0.70710678, 0.0])
@@ -18,7 +18,7 @@ def derivation(**fields: object) -> Derivation:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from koopdqn.config.resources import conf_dir
+    from koopdqn.resources import conf_dir
 
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         config = compose("config", overrides=["task=demonstrated"])

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 from parts import Clerk, Parts
 
-from koopdqn.environment.reward import IntentReward
-from koopdqn.feedback.oracle import Oracle
-from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.base import Oracle
+from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
-from koopdqn.training.feedback import Budget
-from koopdqn.training.gathering import Asking
-from koopdqn.training.trainer import Trainer
-from koopdqn.workcell import Workcell
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.experience import Asking
+from koopdqn.rl.human_reward import Budget
+from koopdqn.tasks.workcell import Workcell
 
 UNCHECKED = {"check_every": 10**6}
 FORGETFUL = {"remember_m": 0.0, "extend": False}

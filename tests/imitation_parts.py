@@ -8,13 +8,13 @@ from imitation.imitator import Imitator
 from parts import load_parts
 from small_run import SMALL
 
-from koopdqn.demonstrations.generator import generate
-from koopdqn.dqn.policy import Policy
-from koopdqn.dqn.settings import AgentSettings
-from koopdqn.intent.fitting import agent_steps
+from koopdqn.demonstrations.generate import generate
+from koopdqn.intent.fit import agent_steps
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, roll_out
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.rl.policy import Policy
+from koopdqn.rl.settings import AgentSettings
+from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 STEP_LIMIT = 200
 _CORNER = "task.waypoints=[[0.45,-0.20,0.45],[0.39,-0.21,0.45],[0.37,-0.13,0.45]]"

@@ -3,9 +3,8 @@
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.app.recording.recorder import Recorder, target
 from koopdqn.pose import Array
-from koopdqn.recording.moves import target
-from koopdqn.recording.recorder import Recorder
 
 
 def shown_by_keys(recorder: Recorder, limit: int = 400) -> str:

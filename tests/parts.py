@@ -6,23 +6,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.app.hydra.folder import ensure_resolver
+from koopdqn.app.recording.settings import DemoSettings
 from koopdqn.artifact import described
-from koopdqn.config.folder import ensure_resolver
-from koopdqn.config.resources import conf_dir
-from koopdqn.config.settings import TARGET, load_settings, validate
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.dqn.settings import AgentSettings
-from koopdqn.environment.reward import RewardSettings
-from koopdqn.feedback.memory import FeedbackSettings
-from koopdqn.feedback.oracle import Answer, Oracle, Question
 from koopdqn.intent.model import IntentSettings
+from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
+from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.pose import Array
-from koopdqn.recording.settings import DemoSettings
+from koopdqn.resources import conf_dir
+from koopdqn.rl.human_reward import FeedbackSettings
+from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.ur import URArm
+from koopdqn.settings import TARGET, load_settings, validate
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import Task
-from koopdqn.training.settings import TrainSettings
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer, Oracle, Question
+from koopdqn.oracles.base import Answer, Oracle, Question
+from koopdqn.oracles.journal import JournalledOracle
 
 
 def question(number: int) -> Question:

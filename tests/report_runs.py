@@ -11,13 +11,13 @@ from hydra import compose, initialize_config_dir
 from parts import Parts, load_parts
 
 from koopdqn.artifact import Artifact, described, write_artifact
-from koopdqn.config.resources import conf_dir
-from koopdqn.config.settings import load_settings
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.evaluation.metrics import wilson_interval
 from koopdqn.evaluation.schema import Baselines
-from koopdqn.evaluation.wilson import wilson_interval
 from koopdqn.files import write_json
+from koopdqn.resources import conf_dir
+from koopdqn.settings import load_settings
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.task import Task
 

@@ -11,7 +11,7 @@ from types import TracebackType
 import pexpect
 import pyte
 
-from koopdqn import cli
+from koopdqn.app import cli
 
 CHECKOUT = str(Path(cli.__file__).resolve().parent.parent)
 QUESTION = "Was this right?"

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from measured_runs import carry_out
 
-from koopdqn.commands.configuration import Configuration
-from koopdqn.config.compose import composed
-from koopdqn.config.overrides import prepare
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed
+from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import BadInputError
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -5,9 +5,8 @@ from hypothesis import strategies as st
 from parts import with_fields
 
 from koopdqn import pose
-from koopdqn.environment.actions import ACTIONS, COUNT, ROTATING, legal_actions, reached_poses
-from koopdqn.environment.compare import excess, within_tolerance
 from koopdqn.pose import Array
+from koopdqn.tasks.actions import ACTIONS, COUNT, ROTATING, excess, legal_actions, reached_poses, within_tolerance
 from koopdqn.tasks.shelf import ShelfTask
 
 unit_vectors = (

@@ -4,10 +4,9 @@ from hypothesis import strategies as st
 from parts import Parts, load_parts
 
 from koopdqn.artifact import described
-from koopdqn.config.settings import load_settings
-from koopdqn.dqn.settings import AgentSettings
 from koopdqn.errors import BadInputError
-from koopdqn.training.settings import TrainSettings
+from koopdqn.rl.settings import AgentSettings, TrainSettings
+from koopdqn.settings import load_settings
 
 
 @given(steps=st.integers(0, 10**7), more=st.integers(0, 10**6))

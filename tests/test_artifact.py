@@ -10,10 +10,10 @@ from parts import Parts
 from safetensors import SafetensorError
 
 from koopdqn.artifact import Artifact, arrays_digest, described, read_artifact, write_artifact
-from koopdqn.config.settings import load_settings
-from koopdqn.dqn.settings import AgentSettings
 from koopdqn.errors import BadInputError
 from koopdqn.intent.model import IntentSettings
+from koopdqn.rl.settings import AgentSettings
+from koopdqn.settings import load_settings
 
 SUFFIXES = [".npz", ".safetensors"]
 ARRAYS = {"matrix": np.arange(6.0).reshape(2, 3), "count": np.array(7), "on": np.array([True, False])}

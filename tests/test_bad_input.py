@@ -15,14 +15,15 @@ import pytest
 from omegaconf import OmegaConf
 from small_run import SMALL
 
-from koopdqn import cli, console
-from koopdqn.config.folder import register_resolver
-from koopdqn.config.overrides import prepare
+from koopdqn import console
+from koopdqn.app import cli
+from koopdqn.app.hydra.folder import register_resolver
+from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.dqn import memory
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import DivergedError, atomic_path, canonical_json, write_json
-from koopdqn.robot.rendering_backend import prepare_rendering
+from koopdqn.rl import memory
+from koopdqn.robot.render import prepare_rendering
 
 STAGE = re.compile(r"[A-Z][a-z ]+( \.\.\.|: done in .*)")
 
@@ -140,7 +141,7 @@ def test_an_error_of_memory_during_work_is_no_fault_of_the_program(
         def fail(*_: object, error: Exception = error) -> None:
             raise error
 
-        monkeypatch.setattr("koopdqn.commands.stages.open_scene", fail)
+        monkeypatch.setattr("koopdqn.app.commands.stages.open_scene", fail)
         assert "this machine's memory does not suffice" in refused(capsys, "demo", status=1)
 
 

@@ -6,8 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.environment.actions import legal_actions, reached_poses
-from koopdqn.environment.compare import excess
 from koopdqn.evaluation.baselines import (
     Greedy,
     greedy,
@@ -16,9 +14,10 @@ from koopdqn.evaluation.baselines import (
     straight_line,
     straight_path,
 )
-from koopdqn.intent.fitting import TURNS_PER_STEP
+from koopdqn.intent.fit import TURNS_PER_STEP
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS
+from koopdqn.tasks.actions import excess, legal_actions, reached_poses
+from koopdqn.tasks.rollout import SUCCESS
 
 
 @st.composite

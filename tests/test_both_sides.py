@@ -2,17 +2,17 @@ import numpy as np
 import pytest
 from parts import load_parts
 
-from koopdqn.demonstrations.generator import generate
-from koopdqn.environment.reachability import COLLISION
-from koopdqn.environment.reward import IntentReward
+from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import straight_line
-from koopdqn.feedback.scripted import ScriptedOracle
-from koopdqn.intent.fitting import agent_steps, fit
-from koopdqn.rollout import SUCCESS, roll_out
+from koopdqn.intent.fit import agent_steps, fit
+from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.tasks.both_sides import BothSidesTask
-from koopdqn.training.trainer import Trainer
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.tasks.reachability import COLLISION
+from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 PARTS = load_parts("task=both_sides")
 # Of the compartment, half-way between its side walls [m].

@@ -6,14 +6,12 @@ import pytest
 
 from koopdqn import pose
 from koopdqn.errors import WorkFailedError
-from koopdqn.robot.camera import Camera, Ghost, Line, Sphere, render
-from koopdqn.robot.rendering_backend import VARIABLE
-from koopdqn.robot.view import View, choose_view
+from koopdqn.robot.render import VARIABLE, Camera, Ghost, Line, Sphere, View, choose_view, render
 
 if TYPE_CHECKING:
     from koopdqn.pose import Array
     from koopdqn.robot.scene import Scene
-    from koopdqn.workcell import Workcell
+    from koopdqn.tasks.workcell import Workcell
 
 SIZE = (320, 240)
 RED = (1.0, 0.0, 0.0, 1.0)
@@ -114,7 +112,7 @@ def test_ghost_is_fainter_than_the_arm(camera: Camera, view: View, motion: "Arra
 def test_more_lines_than_there_is_room_for_are_thinned_not_refused(
     camera: Camera, scene: "Scene", view: View, motion: "Array", monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("koopdqn.robot.camera._MAX_GEOMS", 120)
+    monkeypatch.setattr("koopdqn.robot.render._MAX_GEOMS", 120)
     path = scene.arm.forward(motion)[:, :3]
     with Camera(scene, SIZE) as small:
         plain, drawn = small.picture(motion[-1], view), small.picture(motion[-1], view, [Line(path, RED, 0.006)])

@@ -6,7 +6,7 @@ import pytest
 
 from koopdqn.artifact import Artifact, write_artifact
 from koopdqn.errors import BadInputError
-from koopdqn.training.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
 
 SHAPED_BY: dict[str, Any] = {"seed": 0, "task": {"name": "shelf"}}
 

@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig, OmegaConf
 
-from koopdqn import cli, errors
-from koopdqn.config import resources
+from koopdqn import errors, resources
+from koopdqn.app import cli
+from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.result import CommandResult
 
 CONFIG = """\
 defaults: [_self_, task: shelf]
@@ -67,9 +67,9 @@ class Lab:
 @pytest.fixture
 def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Lab:
     lab = Lab(tmp_path / "installed")
-    commands = types.ModuleType("koopdqn.commands")
+    commands = types.ModuleType("koopdqn.app.commands")
     commands.run = lab.run  # type: ignore[attr-defined]  # a stand-in for the module
-    monkeypatch.setitem(sys.modules, "koopdqn.commands", commands)
+    monkeypatch.setitem(sys.modules, "koopdqn.app.commands", commands)
     monkeypatch.setattr(resources, "roots", lambda: (tmp_path / "installed",))
     work = tmp_path / "work"
     work.mkdir()
@@ -242,7 +242,7 @@ def test_a_result_may_say_that_the_work_failed(lab: Lab, capsys: pytest.CaptureF
 
 
 def test_sweepers_get_the_objective(lab: Lab, tmp_path: Path) -> None:
-    from koopdqn.config.application import Job
+    from koopdqn.app.hydra.application import Job
 
     lab.action = lambda command, config, folder: CommandResult({}, objective=0.25)
     seen: list[Any] = []
@@ -260,9 +260,10 @@ def test_sweepers_get_the_objective(lab: Lab, tmp_path: Path) -> None:
 
 
 def test_a_job_can_be_sent_to_a_launchers_worker() -> None:
-    from koopdqn.config.application import Job
+    from koopdqn.app.commands import run
+    from koopdqn.app.hydra.application import Job
 
-    job = Job("train", Path("outcomes"), as_json=True, continues=False)
+    job = Job("train", Path("outcomes"), as_json=True, continues=False, work=run)
     assert pickle.loads(pickle.dumps(job)) == job
 
 
@@ -393,18 +394,18 @@ def test_the_shell_is_offered_groups_and_options(lab: Lab) -> None:
 def run_in_subprocess(
     code: str, *arguments: str, pipe_to: str = "", environment: dict[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own, with ``code`` in place of koopdqn.commands."""
+    """Run the command line in a process of its own, with ``code`` in place of koopdqn.app.commands."""
     root = resources.roots()[0]
     script = Path("run_koopdqn.py")
     script.write_text(
         "import os, sys, time, types, pathlib\n"
-        "from koopdqn.result import CommandResult\n"
-        "from koopdqn.config import resources\n"
-        "from koopdqn.cli import main\n"
+        "from koopdqn.app.result import CommandResult\n"
+        "from koopdqn import resources\n"
+        "from koopdqn.app.cli import main\n"
         f"{textwrap.dedent(code)}\n"
         f"resources.roots = lambda: (pathlib.Path({str(root)!r}),)\n"
-        "sys.modules['koopdqn.commands'] = types.ModuleType('koopdqn.commands')\n"
-        "sys.modules['koopdqn.commands'].run = run\n"
+        "sys.modules['koopdqn.app.commands'] = types.ModuleType('koopdqn.app.commands')\n"
+        "sys.modules['koopdqn.app.commands'].run = run\n"
         "sys.exit(main())\n"
     )
     line = [sys.executable, str(script), *arguments]

@@ -8,7 +8,7 @@ from imitation.inferred import demonstrated_steps, demonstrated_transitions
 from imitation_parts import parameters, short, success
 
 from koopdqn import pose
-from koopdqn.environment.compare import nearest_actions
+from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.start_frame import STILL, StartFrame
 
 NOISE = Noise(position_m=0.004, rotation_rad=0.05)

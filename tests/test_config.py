@@ -1,3 +1,4 @@
+import importlib
 import math
 import string
 import sys
@@ -11,22 +12,13 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from pydantic import ValidationError, model_validator
 
-from koopdqn.config import resources
-from koopdqn.config.completion import complete
-from koopdqn.config.folder import require_new, require_writable
-from koopdqn.config.overrides import prepare
-from koopdqn.config.settings import (
-    Count,
-    Counts,
-    Fraction,
-    PathText,
-    Positive,
-    Settings,
-    Vector3,
-    load_settings,
-    validate,
-)
+from koopdqn import resources
+from koopdqn import settings as settings_module
+from koopdqn.app.hydra.completion import complete
+from koopdqn.app.hydra.folder import require_new, require_writable
+from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import BadInputError
+from koopdqn.settings import Count, Counts, Fraction, PathText, Positive, Settings, Vector3, load_settings, validate
 
 HERE = __name__
 
@@ -370,7 +362,17 @@ def toy_conf(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
 def test_importing_the_package_loads_nothing_heavy() -> None:
     import subprocess
 
-    code = "import koopdqn, koopdqn.cli, sys; print([m for m in sys.argv[1:] if m in sys.modules])"
+    code = "import koopdqn, koopdqn.app.cli, sys; print([m for m in sys.argv[1:] if m in sys.modules])"
     heavy = ["torch", "mujoco", "scipy", "hydra", "omegaconf", "pydantic", "numpy"]
     done = subprocess.run([sys.executable, "-c", code, *heavy], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("old", sorted(settings_module._MOVED))
+def test_classes_named_where_they_were_are_found(old: str) -> None:
+    new = importlib.import_module(settings_module._MOVED[old])
+    names = [name for name, value in vars(new).items() if isinstance(value, type) and value.__module__ == new.__name__]
+    found = {name for name in names if issubclass(getattr(new, name), Settings)}
+    assert found
+    for name in found:
+        assert settings_module._locate(f"{old}.{name}", "oracle") is getattr(new, name)

@@ -1,9 +1,8 @@
 from parts import Parts, load_parts
 
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.intent.convergence import convergence
-from koopdqn.intent.fitting import Fitted, fit
-from koopdqn.intent.validation import cross_validate
+from koopdqn.intent.fit import Fitted, fit
+from koopdqn.intent.validation import convergence, cross_validate
 from koopdqn.pose import Array
 
 

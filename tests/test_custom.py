@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from questions import question
 
-from koopdqn import cli
-from koopdqn.config.settings import load_settings
-from koopdqn.feedback.oracle import Oracle, OracleSettings
-from koopdqn.workcell import Workcell
+from koopdqn.app import cli
+from koopdqn.oracles.base import Oracle, OracleSettings
+from koopdqn.settings import load_settings
+from koopdqn.tasks.workcell import Workcell
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "feedback.md").read_text(encoding="utf-8")
 NODE = {"target": "my_oracle.HighOracle", "name": "high", "budget": None, "when_spent": "stop"}

@@ -11,14 +11,12 @@ from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.artifact import described
-from koopdqn.config.settings import load_settings
 from koopdqn.demonstrations.derivation import Derived
-from koopdqn.demonstrations.generator import generate
+from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.person import Pursuit
-from koopdqn.tasks.shown_path import ShownPath
+from koopdqn.settings import load_settings
+from koopdqn.tasks.person import Law, Pursuit, ShownPath
 from koopdqn.tasks.task import Task
 
 RECIPE = derivation()
@@ -87,8 +85,8 @@ def test_orientation_is_told_apart() -> None:
 def test_the_turn_of_the_knife_is_learned_from_its_demonstrations() -> None:
     from hydra import compose, initialize_config_dir
 
-    from koopdqn.config.resources import conf_dir
-    from koopdqn.workcell import open_workcell
+    from koopdqn.resources import conf_dir
+    from koopdqn.tasks.workcell import open_workcell
 
     parts = load_parts()
 

@@ -13,8 +13,8 @@ import pytest
 from omegaconf import OmegaConf
 from typer.main import get_command
 
-from koopdqn import cli
-from koopdqn.commands.configuration import Configuration
+from koopdqn.app import cli
+from koopdqn.app.commands.configuration import Configuration
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.schema import ReportModel
 
@@ -172,7 +172,7 @@ def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_config_is_composed_in_python_where_no_command_has_begun() -> None:
     example = (
-        "from koopdqn.commands.configuration import Configuration; from koopdqn.config.compose import composed;"
+        "from koopdqn.app.commands.configuration import Configuration; from koopdqn.app.hydra.compose import composed;"
         " print(Configuration.load(composed(['task=shelf'])).task.name)"
     )
     done = subprocess.run([sys.executable, "-c", example], capture_output=True, text=True, check=False)

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from koopdqn import cli, doctor
-from koopdqn.doctor import Check
+from koopdqn.app import cli, doctor
+from koopdqn.app.doctor import Check
 
 
 def by_name(checks: list[Check]) -> dict[str, Check]:

@@ -14,8 +14,7 @@ from koopdqn.evaluation.baselines import straight_path
 from koopdqn.evaluation.dynamics import Execution, execute, summarise
 from koopdqn.evaluation.references import reference_paths
 from koopdqn.pose import Array
-from koopdqn.robot.scene import build_scene
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell, build_scene
 
 
 @cache

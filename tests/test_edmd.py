@@ -4,7 +4,7 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koopdqn.intent.edmd import KoopmanModel, koopman_matrix, koopman_rows, snapshot_pairs, within_radius
+from koopdqn.intent.koopman import KoopmanModel, koopman_matrix, koopman_rows, snapshot_pairs, within_radius
 from koopdqn.intent.observables import Observables, RandomFourier, SecondOrder
 from koopdqn.pose import Array
 

@@ -8,12 +8,12 @@ from absl.testing import absltest
 from dm_env import test_utils
 from parts import Clerk
 
-from koopdqn.dqn.observation import observe
-from koopdqn.environment.environment import KoopmanEnvironment
-from koopdqn.environment.reward import IntentReward
-from koopdqn.feedback.oracle import Question
-from koopdqn.feedback.scripted import ScriptedOracle
-from koopdqn.workcell import Workcell
+from koopdqn.envs.dm import KoopmanEnvironment
+from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.base import Question
+from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.rl.network import observe
+from koopdqn.tasks.workcell import Workcell
 
 AXES = (4, 5, 6, 7, 8, 9)
 Make = Callable[..., KoopmanEnvironment]

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from koopdqn import pose
-from koopdqn.environment.episodes import EpisodeBatch, StartSampler
 from koopdqn.pose import Array
+from koopdqn.rl.vector_env import EpisodeBatch, StartSampler
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 SPREAD = (0.008, 0.05)
 """Of starts along demonstrations: [m] and [rad]."""

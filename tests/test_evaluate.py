@@ -10,7 +10,6 @@ from helpers_shelf import reward_of, shelf, taught
 from pydantic import BaseModel, ValidationError
 from rich.console import Console
 
-from koopdqn.config.settings import validate
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation import schema
 from koopdqn.evaluation.baselines import Greedy
@@ -18,7 +17,8 @@ from koopdqn.evaluation.evaluate import Evaluation, evaluate, table, work_units
 from koopdqn.evaluation.schema import EvaluationReport, MethodReport
 from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, Controller
+from koopdqn.settings import validate
+from koopdqn.tasks.rollout import SUCCESS, Controller
 
 SETTINGS = EvaluationSettings(
     episodes=5, seed=2000, start_scale=1.0, dynamics=True, dynamics_episodes=2, time_scale=2.0, baselines=True

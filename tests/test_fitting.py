@@ -6,11 +6,11 @@ from parts import Parts, as_demonstrations, load_parts, straight_poses
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.resample import to_count
 from koopdqn.errors import BadInputError
-from koopdqn.intent.edmd import koopman_matrix
-from koopdqn.intent.fitting import Fitted, agent_steps, fit, unmatched_share
+from koopdqn.intent.fit import Fitted, agent_steps, fit, unmatched_share
+from koopdqn.intent.koopman import koopman_matrix
 from koopdqn.intent.observables import SecondOrder
+from koopdqn.paths import to_count
 from koopdqn.pose import Array
 
 

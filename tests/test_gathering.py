@@ -22,22 +22,20 @@ from parts import Clerk, Parts
 from questions import question
 from small_run import SMALL
 
-from koopdqn import cli
-from koopdqn.environment.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
-from koopdqn.feedback import wording
-from koopdqn.feedback.file import question_object
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer, Earlier, Oracle, Place, Question
-from koopdqn.feedback.records import read_records
-from koopdqn.feedback.replay import ReplayOracle
-from koopdqn.feedback.scripted import ScriptedOracle
-from koopdqn.feedback.terminal.screen import Shown, compose
+from koopdqn.app import cli
+from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
+from koopdqn.oracles import wording
+from koopdqn.oracles.base import Answer, Earlier, Oracle, Place, Question
+from koopdqn.oracles.file import question_object
+from koopdqn.oracles.journal import JournalledOracle, read_records
+from koopdqn.oracles.replay import ReplayOracle
+from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
-from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.training.experience import Trial, Tries
-from koopdqn.training.gathering import Asking, Gathering, question_about, settled
-from koopdqn.training.trainer import Trainer
-from koopdqn.workcell import Workcell
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
+from koopdqn.rl.experience import Asking, Gathering, Trial, Tries, question_about, settled
+from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}

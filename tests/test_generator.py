@@ -8,11 +8,11 @@ from parts import Parts, with_fields
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.generator import generate, wander
+from koopdqn.demonstrations.generate import generate, wander
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 
 def hausdorff(a: Array, b: Array) -> float:

@@ -2,8 +2,8 @@ import json
 
 import numpy as np
 
-from koopdqn.environment.reward import ASKED, REMEMBERED, RULE, TRUSTED
-from koopdqn.training.history import Check, History
+from koopdqn.intent.reward import ASKED, REMEMBERED, RULE, TRUSTED
+from koopdqn.rl.history import Check, History
 
 
 def some_history() -> History:

@@ -4,7 +4,7 @@ import pytest
 from parts import Clerk
 from questions import question
 
-from koopdqn.feedback.imperfect import ImperfectOracle
+from koopdqn.oracles.scripted import ImperfectOracle
 
 COUNT = 400
 

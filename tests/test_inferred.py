@@ -6,10 +6,9 @@ from hypothesis import strategies as st
 from imitation.inferred import demonstrated_transitions
 
 from koopdqn import pose
-from koopdqn.dqn.observation import observe
-from koopdqn.environment.actions import COUNT, legal_actions, reached_poses
-from koopdqn.environment.compare import excess, nearest_actions
 from koopdqn.pose import Array
+from koopdqn.rl.network import observe
+from koopdqn.tasks.actions import COUNT, excess, legal_actions, nearest_actions, reached_poses
 from koopdqn.tasks.shelf import ShelfTask
 
 seeds = st.integers(0, 10_000)

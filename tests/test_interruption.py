@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from small_run import SMALL
 
-from koopdqn import cli, console
+from koopdqn import console
+from koopdqn.app import cli
 from koopdqn.files import read_json
 
 LONGER = ("train.stop=limit", "train.extend=3")

@@ -9,9 +9,8 @@ from parts import Clerk
 from questions import question
 
 from koopdqn.errors import BadInputError
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer, Question
-from koopdqn.feedback.records import read_lines
+from koopdqn.oracles.base import Answer, Question
+from koopdqn.oracles.journal import JournalledOracle, read_lines
 
 
 def thirds(asked: Question) -> bool | None:

@@ -9,16 +9,16 @@ from report_runs import knife_parts
 
 from koopdqn import pose
 from koopdqn.artifact import described
-from koopdqn.config.settings import TARGET, validate
-from koopdqn.environment.actions import COUNT
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import floor, straight_path
 from koopdqn.evaluation.references import reference_paths
+from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, Episode, follow, roll_out
+from koopdqn.settings import TARGET, validate
+from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.knife import KnifeTask
-from koopdqn.tasks.path import arc_lengths
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.tasks.rollout import SUCCESS, Episode, follow, roll_out
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 LIMIT = 2000
 

@@ -6,10 +6,8 @@ from parts import with_fields
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.person import Pursuit
+from koopdqn.tasks.person import Law, Pursuit, ShownPath
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.tasks.shown_path import ShownPath
 
 STEP, AHEAD = 0.002, 0.015
 UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
@@ -77,7 +75,7 @@ def test_finer_steps_follow_the_same_way(shelf_task: ShelfTask, person: str) -> 
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from koopdqn.config.resources import conf_dir
+    from koopdqn.resources import conf_dir
 
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         node = OmegaConf.to_container(compose("config", overrides=[f"person={person}"]).person)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from parts import Parts
 
-from koopdqn.dqn.policy import Policy
-from koopdqn.environment.reward import IntentReward
-from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, roll_out
-from koopdqn.training.trainer import Trainer
-from koopdqn.workcell import Workcell
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.policy import Policy
+from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.workcell import Workcell
 
 
 @pytest.mark.slow

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.feedback.memory import AnswerMemory, FeedbackSettings
 from koopdqn.pose import Array
+from koopdqn.rl.human_reward import AnswerMemory, FeedbackSettings
 
 NEAR, TURN, ACTIONS = 0.002, 0.05, 10
 MARGINS = [-0.6, -0.1, 0.0, 0.2, 0.7]

@@ -11,13 +11,12 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.evaluation.deviation import SAMPLES, deviations, resampled
-from koopdqn.evaluation.frechet import discrete_frechet
-from koopdqn.evaluation.metrics import measure
+from koopdqn.evaluation.metrics import measure, wilson_interval
 from koopdqn.evaluation.references import reference_paths
 from koopdqn.evaluation.schema import MethodReport
-from koopdqn.evaluation.wilson import wilson_interval
+from koopdqn.paths import discrete_frechet
 from koopdqn.pose import Array
-from koopdqn.rollout import FAILURES, SUCCESS, Episode
+from koopdqn.tasks.rollout import FAILURES, SUCCESS, Episode
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import Task
 

@@ -4,12 +4,13 @@ from hydra import compose, initialize_config_dir
 from parts import Parts, load_parts
 
 from koopdqn import pose
-from koopdqn.config.resources import conf_dir
-from koopdqn.config.settings import load_settings
-from koopdqn.demonstrations.resample import mean_poses
-from koopdqn.intent.fitting import Fitted
+from koopdqn.intent.correction import corrected, restored
+from koopdqn.intent.fit import Fitted
 from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
+from koopdqn.resources import conf_dir
+from koopdqn.settings import load_settings
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
@@ -163,13 +164,13 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
     here = frame.unplaced(mean[10:210:10], starts, mean[10:210:10])
     for each in (
         model,
-        IntentModel.restore(model.arrays(), settings),
-        model.extended(mean[:1], mean[1:2], np.array([0.03])),
+        restored(model.arrays(), settings),
+        corrected(model, mean[:1], mean[1:2], np.array([0.03])),
     ):
         found = each.intended(here, starts)
         np.testing.assert_allclose(frame.placed(found, starts), each.predict(frame.placed(here, starts)), atol=1e-9)
     np.testing.assert_array_equal(
-        IntentModel.restore(model.arrays(), settings).intended(here, starts), model.intended(here, starts)
+        restored(model.arrays(), settings).intended(here, starts), model.intended(here, starts)
     )
     assert pose.position_distance(model.intended(here, starts), model.predict(here)).max() > 1e-3
 

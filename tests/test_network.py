@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from koopdqn.dqn.network import QNetwork
-from koopdqn.dqn.settings import NetworkSettings
+from koopdqn.rl.network import QNetwork
+from koopdqn.rl.settings import NetworkSettings
 
 PLAIN = NetworkSettings(hidden=(6, 4), fourier_features=0, length_scale_m=0.1, length_scale_rad=0.5)
 WAVES = NetworkSettings(hidden=(6,), fourier_features=8, length_scale_m=0.1, length_scale_rad=0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from koopdqn import pose
-from koopdqn.dqn.observation import observe, size
+from koopdqn.rl.network import observe, size
 from koopdqn.tasks.shelf import ShelfTask
 
 

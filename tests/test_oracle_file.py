@@ -8,8 +8,8 @@ import pytest
 from questions import question
 
 from koopdqn.errors import BadInputError
-from koopdqn.feedback.file import FileOracle, FileOracleSettings
-from koopdqn.feedback.oracle import Answer, PauseRequested, Question
+from koopdqn.oracles.base import Answer, PauseRequested, Question
+from koopdqn.oracles.file import FileOracle, FileOracleSettings
 
 
 def numbered(number: int) -> Question:

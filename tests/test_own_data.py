@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers_shown import arc, recorded
 
-from koopdqn import cli
+from koopdqn.app import cli
 from koopdqn.demonstrations.csv import read_csv, write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
 

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from koopdqn.paths import SmoothPath, arc_lengths, at_arc_lengths
 from koopdqn.pose import Array
-from koopdqn.tasks.path import SmoothPath, arc_lengths, at_arc_lengths
 
 numbers = st.floats(-0.4, 0.4, allow_nan=False)
 points = st.tuples(numbers, numbers, numbers)

@@ -8,15 +8,13 @@ from parts import load_parts, with_fields
 
 from koopdqn import pose
 from koopdqn.artifact import described
-from koopdqn.config.settings import load_settings
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.person import Person, Pursuit, Square, Via, Wide, least_jerk
+from koopdqn.settings import load_settings
+from koopdqn.tasks.person import Law, Person, Pursuit, ShownPath, Square, Via, Wide, least_jerk
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.task import Task
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 STEP = 0.002
 UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
@@ -35,8 +33,8 @@ def walked(person: Person, start: tuple[float, float, float], step: float = STEP
 @pytest.mark.parametrize("person", PERSONS)
 @pytest.mark.parametrize("task", ["shelf", "knife"])
 def test_each_comes_to_rest_at_the_goal_from_anywhere_in_the_start_region(task: str, person: str) -> None:
-    from koopdqn.commands.configuration import Configuration
-    from koopdqn.config.compose import composed
+    from koopdqn.app.commands.configuration import Configuration
+    from koopdqn.app.hydra.compose import composed
     from koopdqn.evaluation.references import reference_paths
 
     chosen = Configuration.load(composed([f"task={task}", f"person={person}"])).task
@@ -174,8 +172,8 @@ def test_a_person_of_ones_own_takes_part_by_target(shelf_task: ShelfTask) -> Non
     ],
 )
 def test_the_command_line_chooses_and_checks_it(override: str, expected: str | None) -> None:
-    from koopdqn.commands.configuration import Configuration
-    from koopdqn.config.compose import composed
+    from koopdqn.app.commands.configuration import Configuration
+    from koopdqn.app.hydra.compose import composed
 
     if expected is None:
         Configuration.load(composed([override]))

@@ -10,16 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parts import load_parts
 
-from koopdqn import cli, pose
+from koopdqn import pose
+from koopdqn.app import cli
 from koopdqn.demonstrations.csv import read_csv, write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.placement import Placement, blocked_at, found_placement
 from koopdqn.demonstrations.reading import read_demonstrations
-from koopdqn.environment.reachability import Reachability
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.robot.scene import build_scene
+from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.workcell import build_scene
 
 PLACEMENTS = st.builds(
     lambda x, y, z, turn: Placement(np.array([x, y, z]), turn),

@@ -10,7 +10,7 @@ from PIL import Image
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.wilson import wilson_interval
+from koopdqn.evaluation.metrics import wilson_interval
 from koopdqn.plots import demos, evaluation, fit, train
 from koopdqn.plots.demos import plot_demonstrations
 from koopdqn.plots.evaluation import plot_evaluation
@@ -18,15 +18,15 @@ from koopdqn.plots.fit import plot_fit
 from koopdqn.plots.scene import draw_motion
 from koopdqn.plots.style import SERIES, picture, series_colours
 from koopdqn.plots.train import plot_training
-from koopdqn.rollout import STEP_LIMIT, SUCCESS, Episode
-from koopdqn.training.history import Check, History
+from koopdqn.rl.history import Check, History
+from koopdqn.tasks.rollout import STEP_LIMIT, SUCCESS, Episode
 
 if TYPE_CHECKING:
     from koopdqn.demonstrations.dataset import Demonstrations
-    from koopdqn.intent.fitting import Fitted
+    from koopdqn.intent.fit import Fitted
     from koopdqn.pose import Array
     from koopdqn.tasks.shelf import ShelfTask
-    from koopdqn.workcell import Workcell
+    from koopdqn.tasks.workcell import Workcell
 
 IMAGE = np.full((72, 90, 3), 128, dtype=np.uint8)
 

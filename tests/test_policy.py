@@ -6,11 +6,11 @@ from parts import Parts, with_fields
 from safetensors.numpy import load_file, save_file
 
 from koopdqn.artifact import described
-from koopdqn.dqn.learner import Learner
-from koopdqn.dqn.observation import observe
-from koopdqn.dqn.policy import Policy, read_policy, write_policy
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
+from koopdqn.rl.dqn import Learner
+from koopdqn.rl.network import observe
+from koopdqn.rl.policy import Policy, read_policy, write_policy
 from koopdqn.tasks.start_frame import STILL, StartFrame
 
 

@@ -3,12 +3,12 @@ import pytest
 from parts import with_fields
 
 from koopdqn import pose
-from koopdqn.commands.configuration import Configuration
-from koopdqn.config.compose import composed
-from koopdqn.environment.reachability import COLLISION, JUMP, UNREACHABLE, Reachability
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.tasks.reachability import COLLISION, JUMP, UNREACHABLE, Reachability
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 
 def entered(workcell: Workcell, at: Array) -> Array:

@@ -13,11 +13,11 @@ from parts import load_parts
 from small_run import SMALL
 from terminal_session import Session, error_without_terminal
 
-from koopdqn import cli
+from koopdqn.app import cli
+from koopdqn.app.recording.log import LOG
+from koopdqn.app.recording.recorder import Recorder
 from koopdqn.demonstrations.hdf5 import read_hdf5
-from koopdqn.recording.log import LOG
-from koopdqn.recording.recorder import Recorder
-from koopdqn.workcell import open_workcell
+from koopdqn.tasks.workcell import open_workcell
 
 if sys.platform == "win32":
     pytest.skip("needs a POSIX terminal", allow_module_level=True)

@@ -8,12 +8,18 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
-from koopdqn.demonstrations.ends import check_orientation, check_position, goal_of, to_goal
-from koopdqn.demonstrations.idle import STILL_M, trimmed
-from koopdqn.demonstrations.resample import to_step
-from koopdqn.demonstrations.smooth import MOST_SAMPLES, smoothed
+from koopdqn.demonstrations.preprocess import (
+    MOST_SAMPLES,
+    STILL_M,
+    check_orientation,
+    check_position,
+    goal_of,
+    smoothed,
+    to_goal,
+    trimmed,
+)
 from koopdqn.errors import BadInputError
-from koopdqn.tasks.path import arc_lengths
+from koopdqn.paths import arc_lengths, to_step
 
 
 @settings(max_examples=20)

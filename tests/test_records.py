@@ -7,10 +7,9 @@ from parts import Clerk
 from questions import Reader, question, written
 
 from koopdqn.errors import BadInputError
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer
-from koopdqn.feedback.records import read_lines, read_records
-from koopdqn.feedback.replay import ReplayOracle
+from koopdqn.oracles.base import Answer
+from koopdqn.oracles.journal import JournalledOracle, read_lines, read_records
+from koopdqn.oracles.replay import ReplayOracle
 
 YES, NO, SKIP = (Answer(right, "anna", 0.5) for right in (True, False, None))
 

@@ -3,7 +3,7 @@ import os
 import pytest
 
 from koopdqn.errors import BadInputError
-from koopdqn.robot.rendering_backend import VARIABLE, prepare_rendering
+from koopdqn.robot.render import VARIABLE, prepare_rendering
 
 
 @pytest.fixture

@@ -6,13 +6,12 @@ from parts import Clerk
 from questions import question, written
 from small_run import SMALL
 
-from koopdqn import cli
+from koopdqn.app import cli
 from koopdqn.errors import BadInputError
-from koopdqn.feedback import repair
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer
-from koopdqn.feedback.records import read_lines, read_records
-from koopdqn.feedback.summary import summarised
+from koopdqn.oracles import repair
+from koopdqn.oracles.base import Answer
+from koopdqn.oracles.journal import JournalledOracle, read_lines, read_records
+from koopdqn.oracles.repair import summarised
 
 
 def journal(folder: Path, teacher: str, rights: list[bool | None]) -> Path:

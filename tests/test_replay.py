@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koopdqn.dqn.replay import FIELDS, ReplayBuffer, Transitions
+from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
 
 
 def numbered(numbers: list[int]) -> Transitions:

@@ -8,25 +8,25 @@ from urllib.parse import unquote
 import pytest
 from report_runs import first, knife_parts, write_evaluation, write_run
 
-from koopdqn import cli, console
-from koopdqn.commands import report
-from koopdqn.commands.report import all_presets
+from koopdqn import console
+from koopdqn.app import cli
+from koopdqn.app.commands import report
+from koopdqn.app.commands.report import all_presets
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
-from koopdqn.reporting import build
-from koopdqn.reporting.content import Missing, Table
-from koopdqn.reporting.groups import DEFAULT, PAPER, group_runs
-from koopdqn.reporting.material import gather
-from koopdqn.reporting.paper import actions_table, comparison_table, hyperparameters_table
-from koopdqn.reporting.runs import find_runs
-from koopdqn.reporting.schema import ReportFile
-from koopdqn.reporting.tables import ablations_table, evaluation_table, intents_table, runs_table, training_table
+from koopdqn.report import page as build
+from koopdqn.report.blocks import Missing, Table
+from koopdqn.report.groups import DEFAULT, PAPER, group_runs
+from koopdqn.report.material import gather
+from koopdqn.report.numbers import ablations_table, evaluation_table, intents_table, runs_table, training_table
+from koopdqn.report.paper import actions_table, comparison_table, hyperparameters_table
+from koopdqn.report.runs import ReportFile, find_runs
 
 if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
-    from koopdqn.reporting.groups import Groups, Presets
+    from koopdqn.report.groups import Groups, Presets
 
 ABLATION = {"overrides": ["intent=line"], "learned": True, "episodes": 10, "oracle_queries": 3}
 ABLATION |= {"success_rate": 0.5, "deviation_mm": None}

@@ -11,14 +11,14 @@ from report_runs import knife_parts, train_report
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.plots.style import ASK
-from koopdqn.reporting.figures.components import plot_components, spans
-from koopdqn.reporting.figures.errors import line_distance, plot_errors, plot_line_error, plot_line_fit
-from koopdqn.reporting.figures.poses import best_view, close_view, joints_of, plot_paths, plot_poses
-from koopdqn.reporting.figures.rewards import WINDOW, plot_rewards, running_mean
-from koopdqn.reporting.figures.turn import plot_turn, travelled_at_half_turn
-from koopdqn.reporting.figures.workflow import plot_workflow
-from koopdqn.reporting.intents import HeldOut, IntentStudy
-from koopdqn.reporting.runs import Run
+from koopdqn.report.figures.components import plot_components, spans
+from koopdqn.report.figures.errors import line_distance, plot_errors, plot_line_error, plot_line_fit
+from koopdqn.report.figures.poses import best_view, close_view, joints_of, plot_paths, plot_poses
+from koopdqn.report.figures.rewards import WINDOW, plot_rewards, running_mean
+from koopdqn.report.figures.turn import plot_turn, travelled_at_half_turn
+from koopdqn.report.figures.workflow import plot_workflow
+from koopdqn.report.intents import HeldOut, IntentStudy
+from koopdqn.report.runs import Run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from koopdqn.pose import Array
     from koopdqn.tasks.knife import KnifeTask
     from koopdqn.tasks.shelf import ShelfTask
-    from koopdqn.workcell import Workcell
+    from koopdqn.tasks.workcell import Workcell
 
 
 def check_drawn(tmp_path: Path, draw: "Callable[[Path], None]") -> np.ndarray:

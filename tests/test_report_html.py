@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from koopdqn.reporting.content import Cell, Figure, Missing, Panel, Section, Table
-from koopdqn.reporting.html import page
+from koopdqn.report.blocks import Cell, Figure, Missing, Panel, Section, Table
+from koopdqn.report.page import page
 
 VOID = {"meta", "img"}
 

@@ -5,8 +5,8 @@ import pytest
 from parts import load_parts
 from report_runs import first
 
-from koopdqn.reporting.intents import SAMPLES, study
-from koopdqn.reporting.numbers import spread
+from koopdqn.report.intents import SAMPLES, study
+from koopdqn.report.numbers import spread
 
 if TYPE_CHECKING:
     from parts import Parts

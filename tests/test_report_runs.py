@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 import pytest
 from report_runs import knife_parts, write_evaluation, write_run
 
+from koopdqn.app.commands.report import all_presets
 from koopdqn.artifact import described
-from koopdqn.commands.report import all_presets
 from koopdqn.errors import BadInputError
-from koopdqn.reporting.groups import DEFAULT, PAPER, group_runs
-from koopdqn.reporting.runs import find_runs
+from koopdqn.report.groups import DEFAULT, PAPER, group_runs
+from koopdqn.report.runs import find_runs
 
 if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
-    from koopdqn.reporting.groups import Presets
+    from koopdqn.report.groups import Presets
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import between, to_count, to_step
+from koopdqn.paths import between, to_count, to_step
 from koopdqn.pose import Array
 
 STEP, TURN = 0.0021, 0.05

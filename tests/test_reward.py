@@ -6,12 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.environment.actions import legal_actions, reached_poses
-from koopdqn.environment.compare import within_tolerance
-from koopdqn.environment.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
+from koopdqn.intent.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.trust import Vouched
 from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
+from koopdqn.tasks.actions import legal_actions, reached_poses, within_tolerance
 from koopdqn.tasks.start_frame import StartFrame
 
 SIGN = RewardSettings(

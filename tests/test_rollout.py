@@ -5,10 +5,10 @@ import pytest
 from helpers_shelf import held_out, shelf, taught
 
 from koopdqn import pose
-from koopdqn.environment.actions import ACTIONS, reached_poses
-from koopdqn.environment.reachability import COLLISION, JUMP, UNREACHABLE
 from koopdqn.evaluation.baselines import Greedy, straight_path
-from koopdqn.rollout import (
+from koopdqn.tasks.actions import ACTIONS, reached_poses
+from koopdqn.tasks.reachability import COLLISION, JUMP, UNREACHABLE
+from koopdqn.tasks.rollout import (
     FAILURES,
     RULE_BROKEN,
     STEP_LIMIT,

@@ -5,10 +5,10 @@ from parts import Parts
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.robot.scene import SceneBuilder, build_scene
+from koopdqn.robot.scene import SceneBuilder
 from koopdqn.robot.ur import URArm
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell, build_scene
 
 
 class _NegativeBox(ShelfTask):

@@ -11,16 +11,16 @@ import pytest
 from pydantic import BaseModel, ValidationError
 from safetensors import safe_open
 
-from koopdqn import cli
+from koopdqn.app import cli
+from koopdqn.app.recording import log as recording_schema
 from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.feedback import schema as feedback_schema
-from koopdqn.feedback.schema import AnswerLine
 from koopdqn.intent import schema as intent_schema
 from koopdqn.intent.schema import FitReport
-from koopdqn.recording import schema as recording_schema
+from koopdqn.oracles import journal as feedback_schema
+from koopdqn.oracles.journal import AnswerLine
+from koopdqn.rl import schema as training_schema
+from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
-from koopdqn.training import schema as training_schema
-from koopdqn.training.schema import TrainReport
 
 FILES = Path(__file__).resolve().parents[1] / "docs" / "files.md"
 # The knife turns, so that nothing about orientation is null. Steps four times as long make whole episodes short, and a
@@ -122,8 +122,9 @@ def test_the_reports_of_a_run_agree_with_each_other(run: Path) -> None:
 def models() -> list[type[BaseModel]]:
     found: set[type[BaseModel]] = {EvaluationFile}
     for module in (intent_schema, training_schema, feedback_schema, recording_schema):
-        found |= {value for value in vars(module).values() if isinstance(value, type) and issubclass(value, BaseModel)}
-    return sorted(found - {ReportModel}, key=lambda model: model.__name__)
+        kinds = [value for value in vars(module).values() if isinstance(value, type)]
+        found |= {kind for kind in kinds if issubclass(kind, BaseModel) and kind.__module__ == module.__name__}
+    return sorted(found, key=lambda model: model.__name__)
 
 
 @pytest.mark.parametrize("model", models())

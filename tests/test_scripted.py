@@ -3,13 +3,12 @@ from pathlib import Path
 import numpy as np
 from parts import Parts
 
-from koopdqn.environment.actions import reached_poses
-from koopdqn.environment.compare import within_tolerance
-from koopdqn.feedback.oracle import Oracle, Question
-from koopdqn.feedback.scripted import ScriptedOracle, ScriptedOracleSettings, demonstrator_agrees
+from koopdqn.oracles.base import Oracle, Question
+from koopdqn.oracles.scripted import ScriptedOracle, ScriptedOracleSettings, demonstrator_agrees
 from koopdqn.pose import Array
+from koopdqn.tasks.actions import reached_poses, within_tolerance
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 
 def question(at: Array, action: int, reached: Array) -> Question:

@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 from parts import straight_poses
 
 from koopdqn import pose
-from koopdqn.environment.reachability import COLLISION
 from koopdqn.robot.ur import URArm
+from koopdqn.tasks.reachability import COLLISION
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 
 def test_the_demonstrated_path_matters_because_the_straight_line_hits_the_shelf(workcell: Workcell) -> None:

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.shown_path import ShownPath
+from koopdqn.tasks.person import ShownPath
 
 UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
 MARGIN = 0.0005

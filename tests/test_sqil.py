@@ -6,7 +6,7 @@ from imitation.inferred import demonstrated_transitions
 from imitation.sqil import Sqil
 from imitation_parts import STEP_LIMIT, parameters, short, success
 
-from koopdqn.dqn.policy import Policy
+from koopdqn.rl.policy import Policy
 
 GAMMA = 0.75
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koopdqn.intent.stabilise import Course, Stabilisation, surrounded
+from koopdqn.intent.augment import Course, Stabilisation, surrounded
 from koopdqn.pose import Array
 
 PULL_BACK = 0.015

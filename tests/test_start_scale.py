@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parts import load_parts
 
-from koopdqn.config.settings import validate
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import Evaluation, evaluate
 from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.settings import validate
 from koopdqn.tasks.task import Task
 
 SETTINGS = EvaluationSettings(

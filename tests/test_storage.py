@@ -6,7 +6,7 @@ from parts import Parts, with_fields
 
 from koopdqn import artifact
 from koopdqn.errors import BadInputError
-from koopdqn.intent.fitting import Fitted
+from koopdqn.intent.fit import Fitted
 from koopdqn.intent.storage import KIND, StoredIntent, read_intent
 from koopdqn.pose import Array
 

@@ -15,9 +15,9 @@ from study import Run
 from study_lines import COMPARISONS, DEFAULT, EVALUATION_SEED, LINES, SEEDS, TASKS, Comparison, Line
 from study_tables import PaperRun, Result, comparison_table, least_check, table, with_tables
 
-from koopdqn.config.resources import conf_dir
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import Baselines
+from koopdqn.resources import conf_dir
 
 LINE = {line.name: line for line in LINES}
 MEASURED = tuple(Baselines.model_fields)
@@ -110,7 +110,7 @@ def test_every_line_is_a_valid_config(task: str, line: Line) -> None:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from koopdqn.commands.configuration import Configuration
+    from koopdqn.app.commands.configuration import Configuration
 
     def loaded(overrides: Sequence[str]) -> tuple[object, ...]:
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):

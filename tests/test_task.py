@@ -6,8 +6,8 @@ from parts import with_fields
 
 from koopdqn import pose
 from koopdqn.artifact import described
-from koopdqn.config.settings import load_settings
 from koopdqn.errors import BadInputError
+from koopdqn.settings import load_settings
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import MAX_STEP_PER_TOLERANCE, Task
 

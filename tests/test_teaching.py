@@ -12,7 +12,7 @@ import pytest
 from small_run import SMALL
 from terminal_session import QUESTION, Session, error_without_terminal
 
-from koopdqn import cli
+from koopdqn.app import cli
 
 if sys.platform == "win32":
     pytest.skip("needs a POSIX terminal", allow_module_level=True)

@@ -14,13 +14,13 @@ if sys.platform == "win32":
     pytest.skip("needs a POSIX terminal", allow_module_level=True)
 import termios
 
-from koopdqn.feedback.terminal.device import _single
+from koopdqn.oracles.terminal.device import _single
 
 RESTORED = re.compile(rb"\x1b\[\?25h\x1b\[\?1049l")
 PROGRAM = """
 import sys
-from koopdqn.exit_status import guard
-from koopdqn.feedback.terminal.device import Device
+from koopdqn.app.exit_status import guard
+from koopdqn.oracles.terminal.device import Device
 device = Device(lambda: device.write("back"))
 def work():
     device.enter()

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from koopdqn.errors import BadInputError
-from koopdqn.feedback.terminal.blocks import block_lines
-from koopdqn.feedback.terminal.graphics import check_graphics, choose_graphics
-from koopdqn.feedback.terminal.pixels import kitty, png, sixel
+from koopdqn.oracles.terminal.device import check_graphics, choose_graphics
+from koopdqn.oracles.terminal.picture import block_lines, kitty, png, sixel
 
 PLAIN = {"TERM": "xterm-256color"}
 TMUX = {"TERM": "tmux-256color", "TMUX": "/tmp/tmux-0/default,1,0"}

@@ -8,14 +8,14 @@ from parts import Parts
 from report_runs import knife_parts
 from rich.text import Text
 
-from koopdqn.environment.actions import COUNT, reached_poses
-from koopdqn.feedback import wording
-from koopdqn.feedback.oracle import Answer, Earlier, Question
-from koopdqn.feedback.situation import SituationCamera, magnification, magnified
-from koopdqn.feedback.terminal.screen import HELP, Shown, compose, region
+from koopdqn.oracles import wording
+from koopdqn.oracles.base import Answer, Earlier, Question
+from koopdqn.oracles.terminal.picture import SituationCamera, magnification, magnified
+from koopdqn.oracles.terminal.screen import HELP, Shown, compose, region
 from koopdqn.pose import POSITION, QUATERNION, position_distance, rotation_distance
+from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 
 @pytest.fixture(scope="module")

@@ -9,20 +9,19 @@ import pytest
 from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_trainer, untrusting
 from parts import Clerk, Parts
 
-from koopdqn.dqn.observation import observe
-from koopdqn.dqn.policy import Policy
-from koopdqn.environment.reward import ASKED, TRUSTED, IntentReward
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer, Oracle, Question
-from koopdqn.feedback.records import read_lines
-from koopdqn.feedback.scripted import ScriptedOracle, demonstrator_agrees
+from koopdqn.intent.reward import ASKED, TRUSTED, IntentReward
+from koopdqn.oracles.base import Answer, Oracle, Question
+from koopdqn.oracles.journal import JournalledOracle, read_lines
+from koopdqn.oracles.scripted import ScriptedOracle, demonstrator_agrees
 from koopdqn.pose import Array
-from koopdqn.rollout import STUCK, SUCCESS, Episode, roll_out
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
+from koopdqn.rl.history import Check
+from koopdqn.rl.network import observe
+from koopdqn.rl.policy import Policy
+from koopdqn.tasks.rollout import STUCK, SUCCESS, Episode, roll_out
 from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.training.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
-from koopdqn.training.history import Check
-from koopdqn.training.trainer import Trainer
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
@@ -163,7 +162,7 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
         successes = round(20 * next(rates))
         return [Episode(np.zeros((1, 7)), np.zeros((1, 6)), SUCCESS if i < successes else STUCK) for i in range(20)]
 
-    monkeypatch.setattr("koopdqn.training.checking.roll_out", scripted)
+    monkeypatch.setattr("koopdqn.rl.history.roll_out", scripted)
     trainer = make(
         train={"check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "check_every": 4, "max_steps": 10**6}
     )

@@ -18,17 +18,16 @@ from helpers_training import (
 from parts import Clerk, Parts
 
 from koopdqn import pose
-from koopdqn.environment.reachability import COLLISION, Motion
-from koopdqn.environment.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward, Judgement
-from koopdqn.feedback.imperfect import ImperfectOracle
-from koopdqn.feedback.journal import JournalledOracle
-from koopdqn.feedback.oracle import Answer, Oracle, Question
-from koopdqn.feedback.scripted import ScriptedOracle
+from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward, Judgement
+from koopdqn.oracles.base import Answer, Oracle, Question
+from koopdqn.oracles.journal import JournalledOracle
+from koopdqn.oracles.scripted import ImperfectOracle, ScriptedOracle
 from koopdqn.pose import Array
-from koopdqn.training.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.training.feedback import Feedback
-from koopdqn.training.trainer import Trainer
-from koopdqn.workcell import Workcell
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
+from koopdqn.rl.human_reward import Feedback
+from koopdqn.tasks.reachability import COLLISION, Motion
+from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}

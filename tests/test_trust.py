@@ -9,7 +9,7 @@ from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.intent.box import Box, BoxSettings
-from koopdqn.intent.fitting import Fitted
+from koopdqn.intent.fit import Fitted
 from koopdqn.intent.trust import COMPONENTS, TrustDomain, calibrated
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask

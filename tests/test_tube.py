@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from parts import load_parts
 
 from koopdqn import pose
-from koopdqn.intent.measures import path_coverage
+from koopdqn.intent.fit import path_coverage
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube, TubeSettings
 from koopdqn.pose import Array

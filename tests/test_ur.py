@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
 from koopdqn import pose as poses
-from koopdqn.config.settings import load_settings
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.ur import URArm
+from koopdqn.settings import load_settings
 
 CONF = Path(__file__).parents[1] / "conf" / "robot" / "ur5.yaml"
 NODE = cast(dict[Any, Any], OmegaConf.to_container(OmegaConf.load(CONF)))

@@ -10,9 +10,9 @@ from dm_control import mjcf
 from omegaconf import OmegaConf
 
 from koopdqn import pose as poses
-from koopdqn.config.settings import load_settings
 from koopdqn.pose import Array
 from koopdqn.robot.ur import URArm
+from koopdqn.settings import load_settings
 
 ROOT = Path(__file__).parents[1]
 NODE = OmegaConf.to_container(OmegaConf.load(ROOT / "conf" / "robot" / "ur5.yaml"))

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.robot.view import View, choose_view, fitted_view
+from koopdqn.robot.render import View, choose_view, fitted_view
 
 if TYPE_CHECKING:
     from koopdqn.pose import Array
     from koopdqn.robot.scene import Scene
-    from koopdqn.workcell import Workcell
+    from koopdqn.tasks.workcell import Workcell
 
 SIZE = (320, 240)
 

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.evaluation.baselines import Greedy
-from koopdqn.evaluation.without_koopman import MeanTangent, NearestVelocity
+from koopdqn.evaluation.baselines import Greedy, MeanTangent, NearestVelocity
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task

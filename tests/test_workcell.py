@@ -2,7 +2,7 @@ import pytest
 from parts import Parts, with_fields
 
 from koopdqn.errors import BadInputError
-from koopdqn.workcell import Workcell, open_workcell
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 
 def test_its_parts_are_of_one_piece(workcell: Workcell, parts: Parts) -> None:

@@ -2,17 +2,13 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-
-if TYPE_CHECKING:
-    from koopdqn.demonstrations.placement import Placement
 
 _QUATERNION_TOLERANCE = 1e-3
 # No arm here reaches so far [m]; a file in millimetres does.
@@ -132,3 +128,45 @@ class Demonstrations:
                 if values is not None:
                     sha.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         return sha.hexdigest()
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A rigid motion: a turn about the base's vertical axis, then a translation.
+
+    Attributes:
+        offset: (3,) [m].
+        turn: [rad].
+    """
+
+    offset: Array
+    turn: float
+
+    def moved(self, demonstrations: Demonstrations) -> Demonstrations:
+        """Return demonstrations moved; joint angles, which no longer fit, are left out."""
+        return self._applied(demonstrations, self._pose, self)
+
+    def undone(self, demonstrations: Demonstrations) -> Demonstrations:
+        """Return moved demonstrations where they were recorded."""
+        return self._applied(demonstrations, pose.inverse(self._pose), None)
+
+    def poses(self, poses: Array) -> Array:
+        """Return poses (N, 7) moved."""
+        return pose.compose(np.broadcast_to(self._pose, poses.shape), poses)
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        x, y, z = np.round(self.offset, 4).tolist()
+        return f"turned by {np.degrees(self.turn):.1f}° about the base's vertical, then moved by [{x}, {y}, {z}] m"
+
+    @property
+    def _pose(self) -> Array:
+        return pose.make(self.offset, pose.from_rotation_vector([0.0, 0.0, self.turn]))
+
+    @staticmethod
+    def _applied(demonstrations: Demonstrations, by: Array, placement: "Placement | None") -> Demonstrations:
+        items = [
+            Demonstration(item.times, pose.compose(np.broadcast_to(by, item.poses.shape), item.poses))
+            for item in demonstrations.items
+        ]
+        return replace(demonstrations, items=items, placement=placement)

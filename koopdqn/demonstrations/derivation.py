@@ -7,17 +7,14 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.config.settings import Fraction, Positive
-from koopdqn.demonstrations import ends
+from koopdqn.demonstrations import preprocess as ends
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.idle import Trimmed, trimmed
-from koopdqn.demonstrations.resample import to_count, to_step
-from koopdqn.demonstrations.smooth import smoothed
-from koopdqn.demonstrations.turning import largest_turn_from, turning_of
+from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, smoothed, trimmed, turning_of
 from koopdqn.errors import BadInputError
+from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
+from koopdqn.settings import Fraction, Positive
 from koopdqn.tasks.demonstrated import DemonstratedTask, Turning
-from koopdqn.tasks.path import arc_lengths, at_arc_lengths
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
@@ -74,11 +71,10 @@ class Derivation(TaskChoice):
     def derive(self, demonstrations: Demonstrations) -> Derived:
         """Return the task that demonstrations show.
 
-        The last ``holdout`` of them are put aside and shape nothing. Each of the others loses its idle ends
-        (:func:`koopdqn.demonstrations.idle.trimmed`) and its sensor noise
-        (:func:`koopdqn.demonstrations.smooth.smoothed`). The goal is the mean of their ends, and each is bent to
-        end there (:mod:`koopdqn.demonstrations.ends`). The nominal start is that of the demonstration that differs
-        least from all; starts are drawn beside all of theirs.
+        The last ``holdout`` of them are put aside and shape nothing. Each of the others loses its idle ends and its
+        sensor noise. The goal is the mean of their ends, and each is bent to end there
+        (:mod:`koopdqn.demonstrations.preprocess`). The nominal start is that of the demonstration that differs least
+        from all; starts are drawn beside all of theirs.
 
         Raises:
             BadInputError: too many are held out, nothing moves in one, the ends are too far apart, or a start

@@ -8,11 +8,10 @@ from typing import Any
 import h5py
 import numpy as np
 
-from koopdqn.config.messages import shown
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.placement import Placement
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
+from koopdqn.settings import shown
 
 FORMAT_VERSION = 1
 _FRAME = "UR Base, flange (tool0)"

@@ -1,19 +1,18 @@
 """Moving a set of demonstrations rigidly to where the arm can follow all of them."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.dataset import Placement
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 
 if TYPE_CHECKING:
-    from koopdqn.environment.reachability import Reachability
+    from koopdqn.tasks.reachability import Reachability
 
 # Of a trajectory every so many poses are tried: a joint that stays within its bound over so many steps has room.
 _EVERY = 6
@@ -23,48 +22,6 @@ _OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
 _UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
 # What counts as much as 0.1 m, to try small moves first.
 _TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
-
-
-@dataclass(frozen=True)
-class Placement:
-    """A rigid motion: a turn about the base's vertical axis, then a translation.
-
-    Attributes:
-        offset: (3,) [m].
-        turn: [rad].
-    """
-
-    offset: Array
-    turn: float
-
-    def moved(self, demonstrations: Demonstrations) -> Demonstrations:
-        """Return demonstrations moved; joint angles, which no longer fit, are left out."""
-        return self._applied(demonstrations, self._pose, self)
-
-    def undone(self, demonstrations: Demonstrations) -> Demonstrations:
-        """Return moved demonstrations where they were recorded."""
-        return self._applied(demonstrations, pose.inverse(self._pose), None)
-
-    def poses(self, poses: Array) -> Array:
-        """Return poses (N, 7) moved."""
-        return pose.compose(np.broadcast_to(self._pose, poses.shape), poses)
-
-    def __str__(self) -> str:
-        """Return it for people."""
-        x, y, z = np.round(self.offset, 4).tolist()
-        return f"turned by {np.degrees(self.turn):.1f}° about the base's vertical, then moved by [{x}, {y}, {z}] m"
-
-    @property
-    def _pose(self) -> Array:
-        return pose.make(self.offset, pose.from_rotation_vector([0.0, 0.0, self.turn]))
-
-    @staticmethod
-    def _applied(demonstrations: Demonstrations, by: Array, placement: "Placement | None") -> Demonstrations:
-        items = [
-            Demonstration(item.times, pose.compose(np.broadcast_to(by, item.poses.shape), item.poses))
-            for item in demonstrations.items
-        ]
-        return replace(demonstrations, items=items, placement=placement)
 
 
 def found_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:

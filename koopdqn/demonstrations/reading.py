@@ -5,9 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from koopdqn.demonstrations.csv import read_csv
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5
-from koopdqn.demonstrations.placement import Placement
 from koopdqn.errors import BadInputError
 
 _CSV = (".csv", ".tsv", ".txt")

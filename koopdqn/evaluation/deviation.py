@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import to_count
-from koopdqn.evaluation.frechet import discrete_frechet
+from koopdqn.paths import arc_lengths, discrete_frechet, to_count
 from koopdqn.pose import Array
-from koopdqn.tasks.path import arc_lengths
 
 SAMPLES = 200
 """Points at equal shares of arc length at which a path and its reference are compared."""

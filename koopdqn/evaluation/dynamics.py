@@ -13,7 +13,7 @@ from koopdqn.evaluation.metrics import summary
 from koopdqn.evaluation.schema import Contacts, DynamicsReport
 from koopdqn.pose import Array
 from koopdqn.robot.scene import Scene
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 REST_SECONDS = 0.5
 """How long the arm is held at the end of a path before its sag is measured: 25 times the UR5's lag."""

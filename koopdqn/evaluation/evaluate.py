@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from koopdqn.environment.reward import IntentReward
 from koopdqn.evaluation.baselines import without_learning
 from koopdqn.evaluation.dynamics import execute, summarise
 from koopdqn.evaluation.holdout import measure_holdout
@@ -14,9 +13,10 @@ from koopdqn.evaluation.metrics import measure
 from koopdqn.evaluation.references import reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, MethodReport
 from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, Controller, Episode, roll_out
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
+from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.environment.reward import IntentReward
 from koopdqn.evaluation.baselines import without_learning
 from koopdqn.evaluation.deviation import hausdorff_mm
 from koopdqn.evaluation.metrics import measure
 from koopdqn.evaluation.schema import Baselines, HoldoutReport, MethodReport
+from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
-from koopdqn.rollout import Controller, Episode, roll_out
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.rollout import Controller, Episode, roll_out
+from koopdqn.tasks.workcell import Workcell
 
 _MILLIMETRES = 1e3
 

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from koopdqn.config.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 from koopdqn.schema import ReportModel
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 
 IntervalList = Annotated[list[Fraction], Field(min_length=2, max_length=2)]
 

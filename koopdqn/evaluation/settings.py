@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from koopdqn.config.settings import Count, Settings
+from koopdqn.settings import Count, Settings
 
 
 class EvaluationSettings(Settings):

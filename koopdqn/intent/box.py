@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from koopdqn.demonstrations.resample import to_count
 from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrated, components_of, no_balls
+from koopdqn.paths import to_count
 from koopdqn.pose import Array
 
 

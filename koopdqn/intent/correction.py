@@ -1,12 +1,13 @@
 """Corrections: an intent model that goes where answers say around the poses that they were given for."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.intent.edmd import KoopmanModel
-from koopdqn.intent.model import IntentModel
+from koopdqn.intent.koopman import KoopmanModel
+from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
 
@@ -89,11 +90,6 @@ class CorrectedIntent(IntentModel):
         pairs = {"pairs_before": self.poses, "pairs_after": self.following, "pairs_reach": self.reaches}
         return {**self.base.arrays(), **pairs}
 
-    def extended(self, poses: Array, following: Array, reaches: Array) -> IntentModel:
-        """Return the model with further pairs of poses (M, 7) and next poses (M, 7), and their reaches (M,) [m]."""
-        pairs = (self.poses, poses), (self.following, following), (self.reaches, reaches)
-        return CorrectedIntent(self.base, *(np.concatenate(each) for each in pairs))
-
     def _blend(self, poses: Array) -> tuple[Array, Array]:
         """Return how much answers count at poses (N, 7), (N,), and how much each of them does, (N, M), in sum 1."""
         position = poses[:, pose.POSITION]
@@ -105,6 +101,28 @@ class CorrectedIntent(IntentModel):
         total = weights.sum(axis=1, keepdims=True)
         left = np.linalg.norm(position - self.goal[pose.POSITION], axis=1)
         return near.max(axis=1) * (1.0 - _fading(left / _GOAL_M)), weights / np.where(total > 0.0, total, 1.0)
+
+
+def corrected(model: IntentModel, poses: Array, following: Array, reaches: Array) -> IntentModel:
+    """Return a model with additional pairs: from poses (M, 7) a person goes to ``following`` (M, 7).
+
+    They move the prediction within ``reaches`` (M,) [m] of their poses and nowhere else, so that an answer counts as
+    a fact about its surroundings. Equal pairs give the same model, and no pairs the model itself.
+    """
+    if not len(poses):
+        return model
+    if isinstance(model, CorrectedIntent):
+        pairs = (model.poses, poses), (model.following, following), (model.reaches, reaches)
+        return CorrectedIntent(model.base, *(np.concatenate(each) for each in pairs))
+    return CorrectedIntent(model, np.array(poses), np.array(following), np.array(reaches))
+
+
+def restored(arrays: Mapping[str, np.ndarray], settings: IntentSettings) -> IntentModel:
+    """Return the model whose :meth:`IntentModel.arrays` these are, with the pairs that it was corrected by."""
+    model = settings.restore(arrays)
+    if "pairs_before" in arrays:
+        return corrected(model, *(arrays[f"pairs_{name}"] for name in ("before", "after", "reach")))
+    return model
 
 
 def _fading(share: Array) -> Array:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.config.settings import Name, Settings
-from koopdqn.intent.edmd import KoopmanModel
+from koopdqn.intent.koopman import KoopmanModel
 from koopdqn.pose import Array
+from koopdqn.settings import Name, Settings
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 
@@ -65,14 +65,6 @@ class IntentModel(ABC):
     start_frame: StartFrame = STILL
 
     @classmethod
-    def restore(cls, arrays: Mapping[str, np.ndarray], settings: IntentSettings) -> "IntentModel":
-        """Return the model whose :meth:`arrays` these are, with what it was extended with."""
-        model = settings.restore(arrays)
-        if "pairs_before" in arrays:
-            return model.extended(*(arrays[f"pairs_{name}"] for name in ("before", "after", "reach")))
-        return model
-
-    @classmethod
     def fit(cls, trajectories: list[Array], task: Task, settings: IntentSettings) -> "IntentModel":
         """Return the model that settings fit to pose trajectories (N, 7), already sampled at the agent's step."""
         return settings.fit(trajectories, task)
@@ -106,16 +98,6 @@ class IntentModel(ABC):
     @abstractmethod
     def arrays(self) -> dict[str, np.ndarray]:
         """Return everything but the settings, as arrays."""
-
-    def extended(self, poses: Array, following: Array, reaches: Array) -> "IntentModel":
-        """Return the model with additional pairs: from poses (M, 7) a person goes to ``following`` (M, 7).
-
-        They move the prediction within ``reaches`` (M,) [m] of their poses and nowhere else, so that an answer
-        counts as a fact about its surroundings. Equal pairs give the same model, and no pairs the model itself.
-        """
-        from koopdqn.intent.correction import CorrectedIntent
-
-        return CorrectedIntent(self, np.array(poses), np.array(following), np.array(reaches)) if len(poses) else self
 
     def preferred(self, poses: Array, step: float) -> Array:
         """Return the predictions (N, 7) rescaled to the agent's step [m], at most up to the goal.

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Floats, Interval, Settings, load_settings
 from koopdqn.pose import Array
+from koopdqn.settings import Floats, Interval, Settings, load_settings
 
 
 class Observables(Settings, ABC):

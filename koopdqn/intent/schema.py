@@ -4,8 +4,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from koopdqn.config.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 from koopdqn.schema import ReportModel
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 
 
 class PositionComponents(ReportModel):

@@ -1,4 +1,4 @@
-"""Separate models of position and orientation, K_p and K_o (Eqs. 17, 18): the paper's way, and the default."""
+"""Separate models of position and orientation, K_p and K_o (Eqs. 17, 18), and the paper's joint lift and line fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -8,14 +8,14 @@ import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Floats
-from koopdqn.intent.edmd import KoopmanModel, within_radius
+from koopdqn.intent.augment import Pairs, Stabilisation, surrounded
+from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs, within_radius
 from koopdqn.intent.model import IntentModel, IntentSettings
-from koopdqn.intent.observables import AnyObservables
-from koopdqn.intent.rotation import RotationModel, RotationSettings
-from koopdqn.intent.stabilise import Pairs, Stabilisation, surrounded
+from koopdqn.intent.observables import Affine, AnyObservables
+from koopdqn.intent.whole_pose import RotationModel, RotationSettings
 from koopdqn.pose import Array
-from koopdqn.tasks.task import Task
+from koopdqn.settings import Floats
+from koopdqn.tasks.task import Task, angles_in, quaternions_in
 
 _LIFT = "lift_"
 _ROTATION_LIFT = "rotation_lift_"
@@ -151,3 +151,115 @@ class SeparateIntent(IntentModel):
             held |= {_ROTATION_LIFT + name: values for name, values in turn.arrays().items()}
             held |= {"rotation_matrix": self.rotation.koopman.matrix, "rotation_frame": self.rotation.frame}
         return held
+
+
+class JointIntentSettings(IntentSettings):
+    """How one K is fitted to x, y, z [m] and roll, pitch, yaw [rad] together."""
+
+    observables: AnyObservables
+    ridge: float = Field(ge=0, description="λ of the regularised least squares; 0 is K = A G†")
+
+    def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
+        """Return the model fitted to pose trajectories (N, 7)."""
+        before, after = snapshot_pairs([_state(trajectory, task.frame) for trajectory in trajectories])
+        koopman = KoopmanModel.fit(self.observables, before, after, np.zeros(6), 1.0, self.ridge)
+        return JointIntent(koopman, task.frame, task.orientation == "held", task.goal)
+
+    @property
+    def ridges(self) -> tuple[float, ...]:
+        """The one ridge."""
+        return (self.ridge,)
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
+        """Return the model whose arrays these are."""
+        koopman = KoopmanModel(self.observables, np.zeros(6), 1.0, arrays["matrix"])
+        return JointIntent(koopman, arrays["frame"], bool(arrays["held"]), arrays["goal"])
+
+
+@dataclass(frozen=True)
+class JointIntent(IntentModel):
+    """A model of positions and angles together.
+
+    Attributes:
+        koopman: the model of states (N, 6).
+        frame: (2, 4) of the angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
+        held: whether orientation is held whatever the model says.
+        goal: the goal pose (7,).
+    """
+
+    koopman: KoopmanModel
+    frame: Array
+    held: bool
+    goal: Array
+
+    def predict(self, poses: Array) -> Array:
+        """Return the predicted next poses (N, 7) of poses (N, 7)."""
+        rows = self.koopman.predict(_state(poses, self.frame))
+        turned = poses[:, pose.QUATERNION] if self.held else quaternions_in(self.frame, rows[:, 3:])
+        return pose.make(rows[:, :3], turned)
+
+    @property
+    def matrices(self) -> dict[str, KoopmanModel]:
+        """The one K."""
+        return {"K": self.koopman}
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return everything but the settings, as arrays."""
+        return {
+            "matrix": self.koopman.matrix,
+            "frame": self.frame,
+            "held": np.array(self.held),
+            "goal": self.goal,
+        }
+
+
+def _state(poses: Array, frame: Array) -> Array:
+    return np.concatenate([poses[:, pose.POSITION], angles_in(frame, poses[:, pose.QUATERNION])], axis=1)
+
+
+class LineIntentSettings(IntentSettings):
+    """How a line is fitted to one demonstration."""
+
+    demonstration: int = Field(ge=0, description="which demonstration, counted from 0; the last if there are fewer")
+
+    def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
+        """Return the model whose prediction goes one step along the line from the point of it nearest to the pose."""
+        chosen = trajectories[min(self.demonstration, len(trajectories) - 1)]
+        rotation = None
+        if task.orientation == "learned":
+            rotation = RotationModel(_line_model(task.angles(chosen[:, pose.QUATERNION])), task.frame, "angles")
+        return SeparateIntent(_line_model(chosen[:, pose.POSITION]), rotation, task.goal)
+
+    @property
+    def ridges(self) -> tuple[float, ...]:
+        """None: a line needs no ridge."""
+        return (0.0,)
+
+    def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
+        """Return the model whose arrays these are."""
+        rotation = None
+        if "rotation_matrix" in arrays:
+            rotation = RotationModel(_model(arrays["rotation_matrix"]), arrays["rotation_frame"], "angles")
+        return SeparateIntent(_model(arrays["matrix"]), rotation, arrays["goal"])
+
+
+def line_through(states: Array) -> tuple[Array, Array]:
+    """Return offset a (d,) and step b (d,) of the least-squares line a + b·t through states (N, d) at t = 0, 1, 2 …."""
+    steps = np.arange(len(states))
+    step, offset = np.polynomial.polynomial.polyfit(steps, states, 1)[::-1]
+    return offset, step
+
+
+def _line_model(states: Array) -> KoopmanModel:
+    # x' = a + b (bᵀ(x − a)/bᵀb + 1) is affine, so that it is a Koopman model with a constant observable.
+    offset, step = line_through(states)
+    length = float(step @ step)
+    projector = np.outer(step, step) / length if length > 0 else np.zeros((len(step), len(step)))
+    constant = offset - projector @ offset + step
+    matrix = np.zeros((len(step) + 1, len(step) + 1))
+    matrix[:-1, :-1], matrix[:-1, -1], matrix[-1, -1] = projector, constant, 1.0
+    return _model(matrix)
+
+
+def _model(matrix: Array) -> KoopmanModel:
+    return KoopmanModel(Affine(), np.zeros(len(matrix) - 1), 1.0, matrix)

@@ -9,15 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from koopdqn.demonstrations.resample import mean_poses
-from koopdqn.environment.actions import legal_actions, reached_poses
-from koopdqn.environment.compare import excess, within_tolerance
-from koopdqn.environment.reward import Prediction, certain_signs
 from koopdqn.intent.model import IntentModel
+from koopdqn.intent.reward import Prediction, certain_signs
 from koopdqn.intent.validation import Fold
+from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.shown_path import ShownPath
+from koopdqn.tasks.actions import excess, legal_actions, reached_poses, within_tolerance
+from koopdqn.tasks.person import Law, ShownPath
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
 

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from koopdqn.artifact import Artifact, arrays_digest, check_task, described, read_artifact, write_artifact
-from koopdqn.config.settings import load_settings
+from koopdqn.intent.correction import restored
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
+from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 
 KIND = "intent"
@@ -61,5 +62,5 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
     trust = load_settings(about["trust"], TrustSettings, "trust")
     own = {name: values for name, values in arrays.items() if not name.startswith(_TRUST)}
     drawn = {name.removeprefix(_TRUST): values for name, values in arrays.items() if name.startswith(_TRUST)}
-    model, domain = IntentModel.restore(own, settings), TrustDomain.restore(drawn, trust)
+    model, domain = restored(own, settings), TrustDomain.restore(drawn, trust)
     return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field, Strict
 
 from koopdqn import pose
-from koopdqn.config.settings import Settings
 from koopdqn.pose import Array
+from koopdqn.settings import Settings
 from koopdqn.tasks.task import angles_in
 
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")

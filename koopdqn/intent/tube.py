@@ -8,10 +8,9 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrated, no_balls, squared_distances
+from koopdqn.paths import arc_lengths, mean_poses
 from koopdqn.pose import Array
-from koopdqn.tasks.path import arc_lengths
 
 # Demonstrations needed to say how their spread changes along the path, one being left out.
 _LEAST_FOR_SPREAD = 3

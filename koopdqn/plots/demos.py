@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.paths import arc_lengths
 from koopdqn.plots.style import (
     MEANT,
     VIEWS,
@@ -20,7 +21,6 @@ from koopdqn.plots.style import (
     two_planes,
 )
 from koopdqn.pose import Array
-from koopdqn.tasks.path import arc_lengths
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1080

@@ -27,7 +27,7 @@ from koopdqn.plots.style import (
     two_planes,
 )
 from koopdqn.pose import Array
-from koopdqn.rollout import SUCCESS, Episode
+from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1180

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.intent.box import Box
-from koopdqn.intent.fitting import Fitted, agent_steps
+from koopdqn.intent.fit import Fitted, agent_steps
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
 from koopdqn.plots.style import (

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 
 from koopdqn.plots.style import Image, rgba, series_colours
 from koopdqn.pose import Array
-from koopdqn.robot.camera import Ghost, Line, render
+from koopdqn.robot.render import Ghost, Line, choose_view, render
 from koopdqn.robot.scene import Scene
-from koopdqn.robot.view import choose_view
 
 SIZE = (900, 720)
 """Width and height of the panel [pixels]."""

@@ -109,7 +109,7 @@ def series_colours(count: int) -> list[str]:
 
 
 def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]:
-    """Return a colour as red, green, blue, opacity, each 0…1, as :mod:`koopdqn.robot.camera` takes it."""
+    """Return a colour as red, green, blue, opacity, each 0…1, as :mod:`koopdqn.robot.render` takes it."""
     red, green, blue = to_rgb(colour)
     return red, green, blue, opacity
 

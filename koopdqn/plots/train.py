@@ -7,10 +7,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
-from koopdqn.environment.reward import RULE, SOURCES
+from koopdqn.intent.reward import RULE, SOURCES
 from koopdqn.plots.style import BLUE, GREEN, GREY, INK, LEARNED, ORANGE, PALE, RED, SKY, picture
 from koopdqn.pose import Array
-from koopdqn.training.history import History
+from koopdqn.rl.history import History
 
 WIDTH, HEIGHT = 1560, 900
 _WINDOW = 25

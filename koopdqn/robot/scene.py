@@ -1,20 +1,17 @@
 """Scenes: an arm, what it holds and what stands around it, composed with dm_control and run by MuJoCo."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 from dm_control import mjcf
 
 from koopdqn import pose
-from koopdqn.config.resources import asset_path
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.pose import Array
+from koopdqn.resources import asset_path
 from koopdqn.robot.arm import Arm
-
-if TYPE_CHECKING:
-    from koopdqn.tasks.task import Task
 
 _ARENA = "arena.xml"
 _FLOOR = "floor"
@@ -184,19 +181,3 @@ class Scene:
             ),
             default=at_most,
         )
-
-
-def build_scene(task: "Task", arm: Arm) -> Scene:
-    """Return the scene of a task with an arm.
-
-    Raises:
-        BadInputError: MuJoCo refuses the scene, or the payload cannot stand clear at start and goal.
-    """
-    try:
-        builder = SceneBuilder(arm)
-        task.furnish(builder)
-        return builder.build()
-    # a file that is no XML is a SyntaxError
-    except (ValueError, SyntaxError) as error:
-        found = " ".join(str(error).split())
-        raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {found}") from error

@@ -7,11 +7,10 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from koopdqn import pose
+from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.path import SmoothPath
+from koopdqn.tasks.person import Law, ShownPath
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.tasks.shown_path import ShownPath
 from koopdqn.tasks.task import Waypoints
 
 

@@ -7,12 +7,11 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import mean_poses
 from koopdqn.errors import BadInputError
+from koopdqn.paths import SmoothPath, mean_poses
 from koopdqn.pose import Array
 from koopdqn.schema import Sha256
-from koopdqn.tasks.path import SmoothPath
-from koopdqn.tasks.shown_path import ShownPath
+from koopdqn.tasks.person import ShownPath
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 

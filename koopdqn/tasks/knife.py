@@ -6,9 +6,9 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Fraction, Settings, Vector3
 from koopdqn.pose import Array
-from koopdqn.tasks.segments import segment_distance
+from koopdqn.settings import Fraction, Settings, Vector3
+from koopdqn.tasks.geometry import segment_distance
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:

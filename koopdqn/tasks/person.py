@@ -1,7 +1,8 @@
-"""Scripted persons: each goes along a path it was shown, and comes back to it in a way of its own."""
+"""Scripted persons: each makes a law of a path that it is shown, with its own way to come back to it."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,14 +10,113 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from koopdqn import pose
-from koopdqn.config.settings import Name, Settings, load_settings
+from koopdqn.paths import SmoothPath, arc_lengths, to_count
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.path import arc_lengths
-from koopdqn.tasks.shown_path import ShownPath
+from koopdqn.settings import Name, Settings, load_settings
+from koopdqn.tasks.step import one_step
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
+
+
+@dataclass(frozen=True)
+class ShownPath:
+    """A path of poses, evenly spaced in arc length.
+
+    Attributes:
+        places: the positions.
+        quaternions: (P, 4) the orientation at each of the positions' points.
+    """
+
+    places: SmoothPath
+    quaternions: Array
+
+    @classmethod
+    def along(cls, poses: Array) -> "ShownPath":
+        """Return the path along poses (N, 7)."""
+        places = SmoothPath.along(poses[:, pose.POSITION])
+        return cls(places, to_count(poses, len(places.points))[:, pose.QUATERNION])
+
+    @property
+    def poses(self) -> Array:
+        """The path's poses (P, 7)."""
+        return pose.make(self.places.points, self.quaternions)
+
+    def nearest(self, positions: Array, margin: float) -> Array:
+        """Return the arc length (N,) [m] of the place of the path that each position (N, 3) [m] goes on from.
+
+        That is the nearest place. Where a path comes back to itself, several are nearer than the places beside them;
+        of those within ``margin`` [m] of the nearest it is the latest: a law knows no past, and where a path crosses
+        itself that choice makes it end.
+        """
+        points = self.places.points
+        squared = (points**2).sum(axis=1) - 2.0 * positions @ points.T + (positions**2).sum(axis=1)[:, None]
+        distance = np.sqrt(np.maximum(squared, 0.0))
+        beside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
+        candidate = (distance <= beside[:, :-2]) & (distance <= beside[:, 2:])
+        candidate &= distance <= distance.min(axis=1, keepdims=True) + margin
+        latest = len(points) - 1 - candidate[:, ::-1].argmax(axis=1)
+        return np.asarray(latest * self.places.spacing)
+
+    def turned_at(self, arc: Array) -> Array:
+        """Return the quaternions (N, 4) at arc lengths (N,) [m], clamped to the path's ends."""
+        index = np.rint(arc / self.places.spacing).astype(int)
+        return np.asarray(self.quaternions[np.clip(index, 0, len(self.quaternions) - 1)])
+
+
+Aim = Callable[[ShownPath, Array, Array, float], Array]
+"""Returns the positions (N, 3) [m] that a person heads for: from the path meant, the positions (N, 3) [m] now, the arc
+lengths (N,) [m] of the places that they go on from, and the step [m]."""
+
+# Nearer to the goal than this [m, rad] a law has come to rest; it is far under any tolerance.
+_REST = 1e-6
+# Places of a path count as about as near up to this share of a step.
+_AS_NEAR = 0.25
+
+
+@dataclass(frozen=True)
+class Law:
+    """What answers for the person: the scripted oracle, agreement figures and references all ask it.
+
+    It depends on the pose alone and knows nothing of the Koopman model. Each step goes straight to where the person
+    aims, and turns as the path does a step ahead, scaled to what the ten actions can make.
+
+    Attributes:
+        path: the path that the person means; it ends at the goal.
+        aim: where the person heads for.
+        goal: pose (7,) at which it comes to rest.
+        step: distance of one step [m].
+        turn: turn of one step in place [rad]; 0 where the goal's orientation is held.
+    """
+
+    path: ShownPath
+    aim: Aim
+    goal: Array
+    step: float
+    turn: float
+
+    def next_pose(self, poses: Array) -> Array:
+        """Return where the person would be after one step from poses (N, 7), as poses (N, 7)."""
+        position = poses[:, pose.POSITION]
+        arc = self.path.nearest(position, _AS_NEAR * self.step)
+        way = self.aim(self.path, position, arc, self.step) - position
+        direction = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+        moved = position + np.minimum(self.step, pose.position_distance(poses, self.goal))[:, None] * direction
+        if not self.turn:
+            return pose.make(moved, np.tile(self.goal[pose.QUATERNION], (len(poses), 1)))
+        wished = pose.make(moved, self.path.turned_at(arc + self.step))
+        return one_step(poses, wished, self.goal, self.step, self.turn)
+
+    def roll_out(self, start: Array, limit: int) -> Array:
+        """Return the poses (T, 7) of the law from a start (7,) until the goal, at most ``limit`` steps."""
+        poses = [start]
+        for _ in range(limit):
+            reached = self.next_pose(poses[-1][None])[0]
+            poses.append(reached)
+            left = pose.position_distance(reached, self.goal), pose.rotation_distance(reached, self.goal)
+            if max(left) < _REST:
+                break
+        return np.array(poses)
 
 
 class Person(Settings, ABC):

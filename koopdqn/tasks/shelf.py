@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.config.settings import Vector3
 from koopdqn.pose import Array
+from koopdqn.settings import Vector3
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:

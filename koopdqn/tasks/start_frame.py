@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.resample import mean_poses
+from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 
 # Moving must bring demonstrations that much nearer [m]; less is rounding.

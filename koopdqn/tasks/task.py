@@ -8,12 +8,10 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
-from koopdqn.config.settings import Settings, Vector3, Vector4
+from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
-from koopdqn.tasks.law import Law
-from koopdqn.tasks.path import SmoothPath
-from koopdqn.tasks.person import AnyPerson
-from koopdqn.tasks.shown_path import ShownPath
+from koopdqn.settings import Settings, Vector3, Vector4
+from koopdqn.tasks.person import AnyPerson, Law, ShownPath
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE
 
@@ -220,3 +218,9 @@ def quaternions_in(frame: Array, angles: Array) -> Array:
     """Return the quaternions (N, 4) of roll, pitch and yaw (N, 3) [rad] in a frame (2, 4)."""
     left, right = frame
     return pose.multiply(left, pose.multiply(pose.from_roll_pitch_yaw(angles), pose.conjugate(right)))
+
+
+def demonstrator_wishes(task: Task, poses: Array, starts: Array) -> Array:
+    """Return where the demonstrator would be (N, 7) a step after poses (N, 7) of episodes from ``starts`` (N, 7)."""
+    frame = task.person_frame
+    return frame.unplaced(task.demonstrator.next_pose(frame.placed(poses, starts)), starts, poses)

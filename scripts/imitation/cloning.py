@@ -10,12 +10,11 @@ from torch import nn
 from imitation.imitator import Imitator
 from imitation.inferred import demonstrated_steps
 from koopdqn import pose
-from koopdqn.dqn.network import QNetwork
-from koopdqn.dqn.observation import observe, size
-from koopdqn.dqn.policy import Policy
-from koopdqn.dqn.settings import AgentSettings
-from koopdqn.environment.compare import nearest_actions
 from koopdqn.pose import Array
+from koopdqn.rl.network import QNetwork, observe, size
+from koopdqn.rl.policy import Policy
+from koopdqn.rl.settings import AgentSettings
+from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 

@@ -6,14 +6,13 @@ import numpy as np
 
 from imitation.cloning import Cloning
 from imitation.imitator import Imitator
-from koopdqn.dqn.settings import AgentSettings
-from koopdqn.environment.actions import reached_poses
-from koopdqn.environment.compare import nearest_actions, within_tolerance
-from koopdqn.feedback.scripted import demonstrator_wishes
 from koopdqn.pose import Array
-from koopdqn.rollout import roll_out
+from koopdqn.rl.settings import AgentSettings
+from koopdqn.tasks.actions import nearest_actions, reached_poses, within_tolerance
+from koopdqn.tasks.rollout import roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.task import demonstrator_wishes
+from koopdqn.tasks.workcell import Workcell
 
 # Sets its random numbers apart from those of the other methods: 1 to 4, 6 and 7.
 _STREAM: Final = 8

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from koopdqn.dqn.policy import Policy
+from koopdqn.rl.policy import Policy
 
 
 @dataclass(frozen=True)

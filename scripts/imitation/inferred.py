@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from koopdqn.dqn.observation import observe
-from koopdqn.dqn.replay import Transitions
-from koopdqn.environment.compare import nearest_actions
-from koopdqn.environment.reward import NO_ANSWER, RULE
+from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
+from koopdqn.rl.network import observe
+from koopdqn.rl.replay_buffer import Transitions
+from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 

@@ -9,18 +9,18 @@ import numpy as np
 
 from imitation.imitator import Imitator
 from imitation.inferred import demonstrated_transitions
-from koopdqn.dqn.exploring import start_sampler
-from koopdqn.dqn.learner import Learner
-from koopdqn.dqn.observation import observe, size
-from koopdqn.dqn.policy import Policy
-from koopdqn.dqn.replay import FIELDS, ReplayBuffer, Transitions
-from koopdqn.dqn.settings import AgentSettings
-from koopdqn.environment.actions import COUNT, reached_poses
-from koopdqn.environment.episodes import EpisodeBatch
-from koopdqn.environment.reward import NO_ANSWER, RULE
+from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
+from koopdqn.rl.dqn import Learner
+from koopdqn.rl.exploring import start_sampler
+from koopdqn.rl.network import observe, size
+from koopdqn.rl.policy import Policy
+from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
+from koopdqn.rl.settings import AgentSettings
+from koopdqn.rl.vector_env import EpisodeBatch
+from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell
 
 # Sets its random numbers apart from those of demonstrations (1), training (2), checks (3) and evaluation (4).
 _STREAM: Final = 7

@@ -1,0 +1,224 @@
+"""The stages that several commands go through; each makes what is missing and keeps it in the run folder."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koopdqn import console
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.derivation import Derivation, Derived
+from koopdqn.demonstrations.generate import generate
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.placement import blocked_at, found_placement
+from koopdqn.demonstrations.reading import read_demonstrations
+from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.files import write_json
+from koopdqn.intent.fit import Fitted, agent_steps, fit
+from koopdqn.intent.storage import StoredIntent, read_intent
+from koopdqn.pose import POSITION, Array
+from koopdqn.robot.scene import Scene
+from koopdqn.tasks.demonstrated import DemonstratedTask
+from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.workcell import Workcell, build_scene, open_workcell
+
+DEMONSTRATIONS = "demos.hdf5"
+
+
+def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configuration:
+    """Return a config whose task is made, if it must be, from ``demos=`` or what a folder holds; say what was found.
+
+    Args:
+        config: the config.
+        folder: whose ``demos.hdf5`` holds the demonstrations as they were read, and moved if that was asked for, the
+            ones kept for evaluation marked.
+        keep: whether to write that file if there is none.
+
+    Raises:
+        BadInputError: there are no demonstrations, they are not those the folder holds, they show no task, or the arm
+            cannot follow one of them.
+    """
+    recipe = config.chosen
+    if not isinstance(recipe, Derivation):
+        return config
+    kept = folder / DEMONSTRATIONS
+    sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
+    if not sources:
+        raise BadInputError(
+            f"demos: must name the files that task {recipe.name} is made from (HDF5 or CSV; one, several in brackets,"
+            " or a glob), found none"
+        )
+    read = read_demonstrations(sources, recipe.name, config.robot.name, any_task=True)
+    read = replace(read, held_out=recipe.kept_of(len(read)))
+    derived = recipe.derive(read)
+    if recipe.place == "auto" and read.placement is None:
+        read, derived = _placed(config, recipe, read, derived)
+    if read.placement is not None:
+        console.note(f"task {recipe.name}: demonstrations {read.placement}")
+    if kept.exists() and read_hdf5(kept).digest() != read.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
+    for line in derived.notes:
+        console.note(f"task {recipe.name}: {line}")
+    _check_followed(config, derived.task)
+    if keep and not kept.exists():
+        write_hdf5(kept, read)
+    return replace(config, derived=derived)
+
+
+def _placed(
+    config: Configuration, recipe: Derivation, read: Demonstrations, derived: Derived
+) -> tuple[Demonstrations, Derived]:
+    """Return demonstrations moved to where the arm can follow them, and the task made from them."""
+    task = derived.task
+    aside = agent_steps(replace(derived.training, items=derived.held_out), task) if derived.held_out else []
+    moved = found_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
+    return moved, recipe.derive(moved)
+
+
+def _check_followed(config: Configuration, task: DemonstratedTask) -> None:
+    reachability = _arm_in(config, task)
+    for index, poses in enumerate(task.trajectories):
+        blocked = blocked_at(reachability, poses)
+        if blocked:
+            raise BadInputError(
+                f"demos: the arm must be able to follow every demonstration, found demonstration {index} stopped after"
+                f" {blocked}; demos.place=auto moves all of them to where it can"
+            )
+
+
+def _arm_in(config: Configuration, task: DemonstratedTask) -> Reachability:
+    """Return the arm in the task's scene, in the posture in which episodes begin if it can take the nominal start."""
+    scene, seconds = build_scene(task, config.robot), config.robot.step_seconds
+    posture = Reachability(config.robot, scene, seconds).enter(task.nominal_start).joints
+    return Reachability(config.robot, scene, seconds, posture)
+
+
+INTENT = "intent.npz"
+
+
+def open_scene(config: Configuration) -> Workcell:
+    """Return the workcell of a config."""
+    return open_workcell(config.task, config.robot)
+
+
+def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) -> Demonstrations:
+    """Return the demonstrations of ``demos=``, or those of the run folder, or new ones; the folder keeps them.
+
+    Raises:
+        BadInputError: the file is damaged, of another task, or not what the run folder holds already.
+    """
+    if config.derived is not None:
+        return config.derived.training
+    kept = folder / DEMONSTRATIONS
+    sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
+    if sources:
+        demonstrations = read_demonstrations(sources, config.task.name, config.robot.name)
+        _check_reach(config, demonstrations)
+    else:
+        demonstrations, _ = new_demonstrations(config, workcell)
+    if not kept.exists():
+        write_hdf5(kept, demonstrations)
+    elif read_hdf5(kept).digest() != demonstrations.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
+    return demonstrations
+
+
+def demonstrations_of(config: Configuration, run: Path) -> Demonstrations:
+    """Return the demonstrations that the run in a folder learned from.
+
+    Raises:
+        BadInputError: the file is missing or damaged.
+    """
+    return read_hdf5(run / DEMONSTRATIONS) if config.derived is None else config.derived.training
+
+
+def held_out_of(config: Configuration) -> list[Array] | None:
+    """Return the held-out demonstrations, poses (N, 7) at the agent's step; None unless the task is made from some."""
+    if config.derived is None:
+        return None
+    aside = config.derived.held_out
+    return agent_steps(replace(config.derived.training, items=aside), config.task) if aside else []
+
+
+def _check_reach(config: Configuration, demonstrations: Demonstrations) -> None:
+    for index, poses in enumerate(agent_steps(demonstrations, config.task)):
+        lost = np.isnan(config.robot.inverse_batch(poses, np.tile(config.robot.home, (len(poses), 1)))).any(axis=1)
+        if lost.any():
+            raise BadInputError(
+                f"demos: demonstration {index} must stay within the arm's reach, found"
+                f" {np.round(poses[lost.argmax(), POSITION], 3).tolist()} m"
+            )
+
+
+def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demonstrations, dict[str, int]]:
+    """Return generated demonstrations and how many draws per reason were drawn again.
+
+    Raises:
+        BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
+    """
+    if config.demo.source != "scripted":
+        raise BadInputError(
+            f"demo.source: must be scripted where koopdqn {config.inputs.command} makes demonstrations itself, found"
+            f" {config.demo.source}; record with koopdqn demo, then demos=FILE"
+        )
+    with console.stage("Demonstrating", config.demo.count) as stage:
+        generated = generate(
+            config.task, workcell.reachability, config.demo, config.inputs.seed, lambda done: stage.advance()
+        )
+    return generated.demonstrations, generated.redrawn
+
+
+def fitted_intent(
+    config: Configuration, demonstrations: Demonstrations, folder: Path, fresh: Demonstrations | None = None
+) -> tuple[StoredIntent, Fitted]:
+    """Fit the intent model, write ``intent.npz``, ``fit.json`` and ``fit.png`` and return both forms of it."""
+    from koopdqn.plots.fit import plot_fit
+
+    with console.stage("Fitting the intent", len(demonstrations)) as stage:
+        fitted = fit(
+            demonstrations, config.task, config.intent, config.trust, config.reward, lambda done: stage.advance(), fresh
+        )
+    stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
+    write_json(folder / "fit.json", fitted.report)
+    plot_fit(folder / "fit.png", fitted, demonstrations, config.task)
+    # Last, since a run that goes on takes this file as the sign that all was made.
+    stored.write(folder / INTENT, config.task)
+    return stored, fitted
+
+
+def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Path) -> StoredIntent:
+    """Return the intent of ``intent=FILE``, or that of the run folder, or a newly fitted one; the folder keeps it.
+
+    Raises:
+        BadInputError: the file is damaged, was fitted to another task or other demonstrations, or is not what
+            the run folder holds already.
+    """
+    kept = folder / INTENT
+    source = config.inputs.intent_file
+    if source is None and kept.exists():
+        source = kept
+    if source is None:
+        return fitted_intent(config, demonstrations, folder)[0]
+    stored = read_intent(source, config.task)
+    if stored.demonstrations != demonstrations.digest():
+        raise BadInputError(f"intent {source}: must be fitted to the demonstrations used, found it fitted to others")
+    if not kept.exists():
+        stored.write(kept, config.task)
+    elif source != kept and read_intent(kept, config.task).digest() != stored.digest():
+        raise BadInputError(f"intent: must be the one that the run holds in {kept}, found another in {source}")
+    return stored
+
+
+def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:
+    """Return a picture of a motion, joints (N, 6), with paths (T, 3) drawn in, or None where nothing can draw it."""
+    from koopdqn.plots.scene import draw_motion
+
+    if joints is None:
+        return None
+    try:
+        return draw_motion(scene, joints, paths, colours)
+    except WorkFailedError as error:
+        console.warn(f"no picture of the arm: {error}")
+        return None

@@ -1,0 +1,172 @@
+"""``koopdqn train``: learn the path."""
+
+from contextlib import closing
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from koopdqn import console
+from koopdqn.app.commands import stages
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.result import CommandResult
+from koopdqn.files import write_json
+from koopdqn.intent.fit import agent_steps
+from koopdqn.intent.reward import BY_MODEL, IntentReward
+from koopdqn.oracles.journal import JOURNAL, JournalledOracle
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.events import EventLog
+from koopdqn.rl.experience import Asking
+from koopdqn.rl.history import Check
+from koopdqn.rl.human_reward import Budget
+from koopdqn.rl.memory import check_memory
+from koopdqn.rl.network import size
+from koopdqn.rl.policy import write_policy
+from koopdqn.rl.schema import TrainReport
+
+POLICY = "policy.safetensors"
+REPORT = "train.json"
+
+
+def run(config: Configuration, folder: Path) -> CommandResult:
+    """Learn from given or new demonstrations, or go on with the run that the folder holds."""
+    from koopdqn.plots.train import plot_training
+
+    began = monotonic()
+    config.oracle.check()
+    check_memory(config.agent, size(config.task))
+    workcell = stages.open_scene(config)
+    demonstrations = stages.demonstrations_for(config, workcell, folder)
+    intent = stages.intent_for(config, demonstrations, folder)
+    made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
+    shaped_by = {**config.shaped_by(), "made_from": made_from}
+    checkpoint = read_checkpoint(folder, shaped_by)
+    answered = 0 if checkpoint is None else questions_asked(checkpoint)
+    before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
+    oracle = JournalledOracle(config.oracle.open(workcell, config.inputs.seed, folder), folder / JOURNAL, answered)
+    trajectories = intent.model.start_frame.each(agent_steps(demonstrations, config.task))
+    trainer = Trainer(
+        workcell,
+        IntentReward(config.task, intent.model, intent.trust, config.reward),
+        trajectories,
+        oracle,
+        config.agent,
+        config.train,
+        config.inputs.seed,
+        config.feedback,
+        Budget(config.oracle.budget, config.oracle.when_spent),
+        Asking(config.oracle.ask, config.oracle.gather_most),
+    )
+    if checkpoint is not None:
+        trainer.restore(checkpoint.arrays, checkpoint.about["state"])
+        console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
+    _learn(trainer, oracle, folder, shaped_by, began - before, bar=not config.oracle.shows_progress)
+    seconds = before + monotonic() - began
+    write_policy(folder / POLICY, trainer.best, config.agent.network, intent.model.start_frame, shaped_by)
+    report = train_report(config, trainer, seconds, made_from)
+    write_json(folder / REPORT, report)
+    plot_training(folder / "train.png", trainer.history, report)
+    return CommandResult(
+        report,
+        _lines(report, folder, trainer),
+        objective=report["best_success_rate"],
+        exit_status=0 if trainer.learned else 1,
+    )
+
+
+def _learn(
+    trainer: Trainer, oracle: JournalledOracle, folder: Path, shaped_by: dict[str, Any], began: float, *, bar: bool
+) -> None:
+    shown = 0
+    # Closed first, so that what is said at the end finds the terminal as it was.
+    with console.stage("Learning", bar=bar) as stage, EventLog(folder, trainer) as events, closing(oracle):
+
+        def on_check(check: Check) -> None:
+            save_checkpoint(folder, trainer, shaped_by, monotonic() - began)
+            events.check(check)
+            stage.advance(0, _progress(trainer, check))
+
+        def on_round() -> None:
+            nonlocal shown
+            last = trainer.history.checks[-1] if trainer.history.checks else None
+            oracle.learning(_progress(trainer, last))
+            if trainer.rounds % 10 == 0:
+                stage.advance(trainer.rounds - shown, _progress(trainer, last))
+                shown = trainer.rounds
+
+        trainer.run(on_check, on_round)
+
+
+def _progress(trainer: Trainer, check: Check | None) -> str:
+    success = "no check yet" if check is None else f"success {check.success_rate:.0%} of held-out starts"
+    return f"{trainer.learner.updates} updates, {trainer.env_steps} actions, {trainer.questions} questions, {success}"
+
+
+def train_report(config: Configuration, trainer: Trainer, seconds: float, made_from: dict[str, str]) -> dict[str, Any]:
+    """Return the content of ``train.json``."""
+    history = trainer.history
+    asked_or_trusted = int(history.judged[1:].sum())
+    content = {
+        "task": config.task.name,
+        "seed": config.inputs.seed,
+        "agent": config.agent.name,
+        "intent": config.intent.name,
+        "learned": trainer.learned,
+        "learned_at_env_steps": trainer.learned_at if trainer.learned else None,
+        "seconds": seconds,
+        "episodes": len(history.rewards),
+        "env_steps": trainer.env_steps,
+        "updates": trainer.learner.updates,
+        "oracle_queries": trainer.questions,
+        "budget_spent": trainer.feedback.spent,
+        "answered_instead": trainer.feedback.substituted,
+        "contradictions": trainer.feedback.memory.contradictions,
+        "rewards_recomputed": trainer.feedback.recomputed,
+        "trusted_fraction": float(history.judged[list(BY_MODEL)].sum() / asked_or_trusted)
+        if asked_or_trusted
+        else None,
+        "reward_agreement": history.agreement(),
+        "rewards_given": history.counts(),
+        "reward_per_episode": history.rewards,
+        "steps_per_episode": history.lengths,
+        "exploring_episode": history.exploring,
+        "best_success_rate": max(trainer.best_success, 0.0),
+        "best_update": trainer.best_update,
+        "step_limit": trainer.step_limit,
+        "checks": [vars(check) for check in history.checks],
+        "threads": config.train.threads,
+        "made_from": made_from,
+    }
+    return TrainReport.model_validate(content).model_dump(mode="json")
+
+
+def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
+    agreement = report["reward_agreement"]
+    shown = ", ".join(
+        f"{name} {'none given' if share is None else format(share, '.1%')}" for name, share in agreement.items()
+    )
+    verdict = "learned" if report["learned"] else "NOT learned within the limits"
+    return [
+        f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
+        f" {report['oracle_queries']} questions asked",
+        *_cut_short(trainer),
+        f"rewards that the demonstrator agrees with: {shown}",
+        f"policy          {console.shown_path(folder / POLICY)}",
+        f"report          {console.shown_path(folder / REPORT)}",
+        f"training curve  {console.shown_path(folder / 'train.png')}",
+    ]
+
+
+def _cut_short(trainer: Trainer) -> list[str]:
+    """Return what to say of a training that went on past learned, but less far than it was asked to."""
+    settings = trainer.settings
+    if settings.stop == "learned" or not trainer.learned:
+        return []
+    reached = trainer.env_steps / trainer.learned_at
+    if reached >= settings.extend or trainer.feedback.stopped:
+        return []
+    name = "max_steps" if trainer.env_steps >= settings.max_steps else "max_episodes"
+    return [
+        f"went on to {reached:.1f} times the actions it took to learn, less than train.extend={settings.extend:g}:"
+        f" train.{name}={getattr(settings, name)} came first"
+    ]

@@ -1,0 +1,277 @@
+"""What of this machine works, and how to mend the rest: ``koopdqn doctor``."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, Literal
+
+from koopdqn import console
+from koopdqn.errors import KoopdqnError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+Status = Literal["ok", "warn", "fail"]
+
+BACKENDS: Final = ("egl", "osmesa", "glfw")
+"""Rendering backends of MuJoCo, in the order of preference without a display."""
+
+_PACKAGES: Final = (
+    "mujoco",
+    "dm-control",
+    "dm-env",
+    "torch",
+    "numpy",
+    "scipy",
+    "h5py",
+    "hydra-core",
+    "omegaconf",
+    "pydantic",
+    "safetensors",
+    "matplotlib",
+    "tensorboard",
+    "typer",
+    "rich",
+)
+_LEAST_FREE_BYTES: Final = 1_000_000_000
+_PROBE_SECONDS: Final = 60.0
+_MENDS: Final = {
+    "egl": "Debian/Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri",
+    "osmesa": "Debian/Ubuntu: apt-get install libosmesa6",
+    "glfw": "needs a display (DISPLAY or WAYLAND_DISPLAY)",
+}
+_MODEL: Final = "<mujoco><worldbody><light/><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+_STEP_PROBE: Final = f"""
+import mujoco
+model = mujoco.MjModel.from_xml_string("{_MODEL}")
+data = mujoco.MjData(model)
+mujoco.mj_step(model, data)
+print("dropped a ball for", data.time, "s")
+"""
+_RENDER_PROBE: Final = f"""
+import mujoco
+model = mujoco.MjModel.from_xml_string("{_MODEL}")
+data = mujoco.MjData(model)
+mujoco.mj_forward(model, data)
+with mujoco.Renderer(model, 32, 32) as renderer:
+    renderer.update_scene(data)
+    assert renderer.render().any(), "the picture is black"
+print("drew 32 x 32 pixels")
+"""
+_TORCH_PROBE: Final = "import torch; print(torch.get_num_threads())"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One finding.
+
+    Attributes:
+        name: what was looked at.
+        status: "ok"; "warn" (something optional is missing, or could be better); "fail" (koopdqn needs it).
+        found: what was found.
+        mend: how to mend it; "" if there is nothing to mend.
+    """
+
+    name: str
+    status: Status
+    found: str
+    mend: str = ""
+
+
+def run(*, as_json: bool) -> int:
+    """Examine the machine, print the findings, and return 0 if all that koopdqn needs works, else 1.
+
+    Args:
+        as_json: print the findings as JSON instead of a table.
+    """
+    checks = examine()
+    works = all(check.status != "fail" for check in checks)
+    if as_json:
+        print(json.dumps({"works": works, "checks": [asdict(check) for check in checks]}, indent=2))
+    else:
+        console.say(_table(checks))
+        console.say("Everything koopdqn needs works." if works else "Something koopdqn needs is missing; see above.")
+    return 0 if works else 1
+
+
+def examine() -> list[Check]:
+    """Return the findings about this machine; rendering and MuJoCo are tried in processes of their own."""
+    return [
+        check_python(),
+        *check_packages(_version),
+        check_mujoco(),
+        *check_rendering(probe),
+        check_terminal(),
+        check_threads(),
+        check_folder(Path.cwd()),
+        *check_resources(),
+        check_video(_version("imageio"), _version("imageio-ffmpeg")),
+    ]
+
+
+def probe(code: str, **environment: str) -> tuple[bool, str]:
+    """Run Python code in a process of its own; return whether it worked and the last line it printed."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, **environment},
+            capture_output=True,
+            text=True,
+            timeout=_PROBE_SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return False, f"no answer within {_PROBE_SECONDS:.0f} s"
+    except OSError as error:
+        return False, str(error)
+    if done.returncode < 0:
+        return False, f"ended by signal {-done.returncode}"
+    lines = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
+    # errors raised while Python cleans up after the error proper come last and say nothing
+    lines = [line for line in lines if re.match(r"\w*(Error|Exception)\b", line)] or lines
+    return done.returncode == 0, lines[-1].strip() if lines else "nothing printed"
+
+
+def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Check:
+    """Return whether Python is recent enough."""
+    found = ".".join(str(part) for part in version)
+    if version[:2] < (3, 11):
+        return Check("Python", "fail", found, "install Python 3.11 or newer")
+    return Check("Python", "ok", found)
+
+
+def check_packages(version: Callable[[str], str | None]) -> list[Check]:
+    """Return whether the packages koopdqn needs are there, and mujoco is a release dm-control works with.
+
+    Args:
+        version: gives the version of an installed package, or None.
+    """
+    checks = []
+    for name in _PACKAGES:
+        found = version(name)
+        if found is None:
+            checks.append(Check(name, "fail", "not installed", f"pip install {name}"))
+        elif name == "mujoco" and _release(found) >= (4,):
+            checks.append(Check(name, "fail", f"{found}; dm-control needs mujoco < 4", "pip install 'mujoco>=3.17,<4'"))
+        else:
+            checks.append(Check(name, "ok", found))
+    return checks
+
+
+def check_mujoco() -> Check:
+    """Return whether MuJoCo steps a small model."""
+    works, line = probe(_STEP_PROBE)
+    return Check(
+        "MuJoCo simulates", "ok" if works else "fail", line, "" if works else "pip install --force-reinstall mujoco"
+    )
+
+
+def check_rendering(run_probe: Callable[..., tuple[bool, str]]) -> list[Check]:
+    """Return which rendering backends work, and which one koopdqn will use.
+
+    Only pictures and films need one, so that none at all is a warning.
+
+    Args:
+        run_probe: as `probe`.
+    """
+    found = {backend: run_probe(_RENDER_PROBE, MUJOCO_GL=backend) for backend in BACKENDS}
+    working = [backend for backend, (works, _) in found.items() if works]
+    checks = []
+    for backend, (works, line) in found.items():
+        mend = "" if works else f"not needed: {working[0]} works" if working else _MENDS[backend]
+        checks.append(Check(f"rendering: {backend}", "ok" if works else "warn", line, mend))
+    asked = os.environ.get("MUJOCO_GL", "")
+    if asked and asked not in working:
+        mend = f"unset MUJOCO_GL, or set it to one of: {', '.join(working)}" if working else _MENDS["egl"]
+        checks.append(Check("rendering", "warn", f"MUJOCO_GL={asked} is set and does not work", mend))
+    elif not working:
+        checks.append(Check("rendering", "warn", "no backend works: no pictures, no films", _MENDS["egl"]))
+    else:
+        checks.append(Check("rendering", "ok", f"koopdqn will use {asked or working[0]}"))
+    return checks
+
+
+def check_terminal() -> Check:
+    """Return what the terminal can do; a run needs none unless a person answers its questions."""
+    terminal = console.err()
+    size = shutil.get_terminal_size()
+    colour = terminal.color_system or "no colour"
+    unicode = "Unicode" if terminal.encoding.lower().startswith("utf") else f"{terminal.encoding}: no Unicode"
+    if not sys.stdin.isatty() or not terminal.is_terminal:
+        mend = "only needed to answer questions yourself (ssh -t, docker run -it)"
+        return Check("terminal", "warn", f"none, {unicode}", mend)
+    return Check("terminal", "ok", f"{size.columns} x {size.lines}, {colour}, {unicode}")
+
+
+def check_threads() -> Check:
+    """Return how many threads torch uses by itself, and the cores this process may use."""
+    works, line = probe(_TORCH_PROBE)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if not works:
+        return Check("torch threads", "fail", line, "pip install --force-reinstall torch")
+    return Check("torch threads", "ok", f"{line} by default, {cores} cores")
+
+
+def check_folder(folder: Path) -> Check:
+    """Return whether results can be written to ``folder`` and there is room for them."""
+    name = "working folder"
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return Check(name, "warn", f"{folder} is read-only", "work in another folder, or name one with out=DIR")
+    free = shutil.disk_usage(folder).free
+    found = f"can be written, {free / 1e9:.1f} GB free"
+    if free < _LEAST_FREE_BYTES:
+        return Check(name, "warn", found, "make room: a run takes up to a few hundred megabytes")
+    return Check(name, "ok", found)
+
+
+def check_resources() -> list[Check]:
+    """Return whether the config tree and the assets are installed."""
+    from koopdqn.resources import assets_dir, conf_dir
+
+    checks = []
+    for name, find in (("conf", conf_dir), ("assets", assets_dir)):
+        try:
+            checks.append(Check(name, "ok", str(find())))
+        except KoopdqnError as error:
+            checks.append(Check(name, "fail", str(error), "pip install --force-reinstall koopdqn"))
+    return checks
+
+
+def check_video(imageio: str | None, ffmpeg: str | None) -> Check:
+    """Return whether films can be written, given the versions of imageio and imageio-ffmpeg (None: absent)."""
+    if imageio is None or ffmpeg is None:
+        missing = " and ".join(n for n, v in (("imageio", imageio), ("imageio-ffmpeg", ffmpeg)) if v is None)
+        return Check("films (optional)", "warn", f"{missing} not installed", "pip install 'koopdqn[video]'")
+    return Check("films (optional)", "ok", f"imageio {imageio}, imageio-ffmpeg {ffmpeg}")
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _release(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", version)[:2])
+
+
+def _table(checks: Sequence[Check]) -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
+    styles = {"ok": "green", "warn": "yellow", "fail": "bold red"}
+    table = Table(box=None, pad_edge=False)
+    for heading in ("what", "", "found", "mend"):
+        table.add_column(heading, overflow="fold")
+    for check in checks:
+        status = Text(check.status, style=styles[check.status])
+        table.add_row(Text(check.name), status, Text(check.found), Text(check.mend))
+    return table

@@ -1,0 +1,197 @@
+"""Hydra behind the commands: compose the config, run one job or a sweep, hand back what came of it."""
+
+import contextlib
+import io
+import json
+import logging
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO, cast
+
+from koopdqn import console
+from koopdqn.app.hydra.folder import register_resolver, require_new
+from koopdqn.app.result import CommandResult
+from koopdqn.errors import BadInputError
+from koopdqn.resources import conf_dir
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+Work = Callable[[str, "DictConfig", Path], CommandResult]
+"""What a command does: its name, the composed config and the run folder, to a result."""
+
+# A launcher's worker process imports this module to run a job, and reads configs that use the resolver.
+register_resolver(check=False)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One command on one composed config: the function that Hydra runs, here or in a worker process.
+
+    Attributes:
+        command: name of the subcommand.
+        outcomes: folder that receives each job's outcome as ``<number>.json``.
+        as_json: whether the result is kept for ``--json`` instead of being printed for people.
+        continues: whether the run folder holds an earlier part of the same run.
+        work: what the command does with a composed config in its run folder; workers import it by its name.
+    """
+
+    command: str
+    outcomes: Path
+    as_json: bool
+    continues: bool
+    work: Work
+
+    def __call__(self, config: "DictConfig") -> float | None:
+        """Run the command and return its objective (for sweepers); the config comes from Hydra."""
+        try:
+            return self._run(config)
+        except Exception:
+            if not _in_sweep():
+                # Hydra adds a line of its own for a failed job, which says nothing the error does not
+                sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
+            raise
+
+    def _run(self, config: "DictConfig") -> float | None:
+        from hydra.core.hydra_config import HydraConfig
+
+        hydra = HydraConfig.get()
+        folder = Path(hydra.runtime.output_dir)
+        if not self.continues:
+            require_new(folder, ignore=f"{hydra.job.name}.log")
+        outcome = self.work(self.command, config, folder)
+        number = int(hydra.job.num) if _in_sweep() else 0
+        record = {"exit_status": outcome.exit_status, "sweep": _in_sweep(), "result": outcome.result}
+        text = json.dumps(record, allow_nan=False)
+        (self.outcomes / f"{number:08d}.json").write_text(text, encoding="utf-8")
+        if not self.as_json:
+            for line in outcome.lines:
+                console.say(line)
+        objective: float | None = outcome.objective
+        return objective
+
+
+def run(
+    command: str, options: Sequence[str], overrides: Sequence[str], work: Work, *, as_json: bool, continues: bool
+) -> int:
+    """Run a command under Hydra and return its exit status: the worst one of a sweep.
+
+    Args:
+        command: name of the subcommand.
+        options: options of Hydra's own command line (``["--multirun"]``).
+        overrides: the prepared overrides.
+        work: what the command does with a composed config in its run folder.
+        as_json: print the result to standard output as JSON (a line a job in a sweep), nothing else there.
+        continues: whether the run folder holds an earlier part of the same run.
+
+    Raises:
+        Exception: whatever composing or the job raises, unchanged.
+    """
+    with tempfile.TemporaryDirectory(prefix="koopdqn-") as outcomes:
+        job = Job(command, Path(outcomes), as_json, continues, work)
+        try:
+            with _stdout_to_stderr() if as_json else contextlib.nullcontext():
+                _call_hydra(job, [*options, *overrides], check_folder=True)
+        finally:
+            records = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(Path(outcomes).iterdir())]
+            if as_json:
+                _print_json(records)
+    return max((int(record["exit_status"]) for record in records), default=0)
+
+
+def _no_work(command: str, config: "DictConfig", folder: Path) -> CommandResult:
+    raise AssertionError(f"Hydra must only show the config of {command}")
+
+
+def show(command: str, options: Sequence[str], overrides: Sequence[str]) -> int:
+    """Let Hydra print something about the config (``--cfg``, ``--info``, ``--hydra-help``) and run nothing.
+
+    Raises:
+        BadInputError: Hydra could not show it.
+    """
+    job = Job(command, Path(), False, False, _no_work)
+    messages = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(messages):
+            _call_hydra(job, [*options, *overrides], check_folder=False)
+    except SystemExit as stop:
+        if stop.code:
+            raise BadInputError(" ".join(messages.getvalue().split()) or "Hydra could not show this") from stop
+    if messages.getvalue():
+        console.note(messages.getvalue())
+    return 0
+
+
+def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> None:
+    import hydra
+    from hydra.core.global_hydra import GlobalHydra
+
+    GlobalHydra.instance().clear()
+    register_resolver(check=check_folder)
+    before = sys.argv, sys.stderr, os.environ.get("HYDRA_FULL_ERROR")
+    log = logging.getLogger()
+    handlers, level = log.handlers[:], log.level
+    # hydra.main reads the command line itself, and with this variable lets errors through to the caller
+    sys.argv = [sys.argv[0], *arguments]
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")(job)()
+    finally:
+        sys.argv, sys.stderr = before[:2]
+        log.handlers[:] = handlers
+        log.setLevel(level)
+        if before[2] is None:
+            os.environ.pop("HYDRA_FULL_ERROR", None)
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = before[2]
+        register_resolver(check=False)
+
+
+@contextlib.contextmanager
+def _stdout_to_stderr() -> Iterator[None]:
+    """Send what libraries and child processes print to standard error, so that only JSON is left on stdout."""
+    sys.stdout.flush()
+    saved = None
+    with contextlib.suppress(OSError, ValueError):
+        if sys.stdout.fileno() == 1:
+            saved = os.dup(1)
+            os.dup2(2, 1)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    finally:
+        if saved is not None:
+            os.dup2(saved, 1)
+            os.close(saved)
+
+
+def _print_json(records: Sequence[Mapping[str, Any]]) -> None:
+    for record in records:
+        print(json.dumps(record["result"], allow_nan=False, indent=None if record["sweep"] else 2))
+    sys.stdout.flush()
+
+
+def _in_sweep() -> bool:
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+
+    return bool(HydraConfig.get().mode == RunMode.MULTIRUN)
+
+
+class _WithoutHydraLine:
+    """Standard error less the line by which Hydra announces that a job failed."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        if text.startswith("Error executing job with overrides:"):
+            return len(text)
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)

@@ -1,0 +1,125 @@
+"""Completion of overrides in the shell: config groups, their options, keys and files."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from koopdqn.app.hydra.overrides import PATH_KEYS
+from koopdqn.resources import conf_dir
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+_FILE_KEYS = (*PATH_KEYS, "intent")
+
+
+def complete(words: Sequence[str], incomplete: str, config_dir: str | None = None) -> list[str]:
+    """Return what may stand in place of ``incomplete``; nothing, rather than an error, if anything fails.
+
+    Bash splits words at ``=`` and asks for the part behind it only; other shells give whole words. Both
+    are understood.
+
+    Args:
+        words: the overrides already typed.
+        incomplete: the word at the cursor.
+        config_dir: the user's own config folder (``--config-dir``), or None.
+    """
+    try:
+        typed = _rejoined(words)
+        key = typed.pop().removesuffix("=") if typed and _is_open(typed[-1]) else None
+        start = incomplete if key is None else f"{key}={incomplete}"
+        found = sorted({item for item in _candidates(typed, start, config_dir) if item.startswith(start)})
+        return found if key is None else [item[len(key) + 1 :] for item in found]
+    # completion runs inside the user's prompt: whatever is wrong, it must stay silent
+    except Exception:
+        return []
+
+
+def _rejoined(words: Sequence[str]) -> list[str]:
+    """Undo bash's split: ``["task", "=", "shelf"]`` is ``["task=shelf"]``."""
+    joined: list[str] = []
+    for word in words:
+        if joined and (word == "=" or joined[-1].endswith("=")):
+            joined[-1] += word
+        else:
+            joined.append(word)
+    return joined
+
+
+def _is_open(word: str) -> bool:
+    return word.endswith("=") or ("=" not in word and not word.startswith("~"))
+
+
+def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Iterator[str]:
+    from hydra import initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+
+    prefix = start[: len(start) - len(start.lstrip("+~"))]
+    key, equals, value = start.removeprefix(prefix).partition("=")
+    if equals and key in _FILE_KEYS:
+        yield from (f"{prefix}{key}={path}" for path in _paths(value))
+    user_dir = Path(config_dir).absolute() if config_dir else None
+    GlobalHydra.instance().clear()
+    for folder in [conf_dir(), user_dir]:
+        if folder is not None and folder.is_dir():
+            with initialize_config_dir(str(folder), version_base="1.3"):
+                yield from (prefix + item for item in _group_options())
+    if not prefix.startswith("~"):
+        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+            yield from (prefix + item for item in _keys(_composed(typed, user_dir), "", nested="." in key))
+
+
+def _group_options() -> Iterator[str]:
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.object_type import ObjectType
+
+    loader = GlobalHydra.instance().config_loader()
+    for group in loader.list_groups(""):
+        if group != "hydra":
+            for option in loader.get_group_options(group, ObjectType.CONFIG):
+                yield f"{group}={option}"
+
+
+def _composed(typed: Sequence[str], user_dir: Path | None) -> "DictConfig":
+    from hydra import compose
+
+    search = [f"hydra.searchpath=['file://{user_dir}']"] if user_dir else []
+    try:
+        return compose("config", overrides=[*search, *typed])
+    # an override still being typed, or wrong, must not take the completion of the others away
+    except Exception:
+        return compose("config")
+
+
+def _keys(node: "DictConfig", parent: str, *, nested: bool) -> Iterator[str]:
+    """Yield ``key=current value`` of each leaf; below the top level only when a dot has been typed."""
+    from omegaconf import OmegaConf
+
+    content = OmegaConf.to_container(node, resolve=False)
+    yield from _leaves(dict(content) if isinstance(content, dict) else {}, parent, nested=nested)
+
+
+def _leaves(content: Mapping[Any, Any], parent: str, *, nested: bool) -> Iterator[str]:
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            if nested:
+                yield from _leaves(value, f"{parent}{name}.", nested=True)
+        else:
+            yield f"{parent}{name}={_as_typed(value)}"
+
+
+def _as_typed(value: object) -> str:
+    if value is None or value == "???" or isinstance(value, list):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = str(value)
+    return "" if " " in text or "${" in text else text
+
+
+def _paths(value: str) -> Iterator[str]:
+    folder, _, start = value.rpartition("/")
+    shown = f"{folder}/" if folder or value.startswith("/") else ""
+    for entry in Path(shown or ".").expanduser().iterdir():
+        if entry.name.startswith(start) and (start or not entry.name.startswith(".")):
+            yield f"{shown}{entry.name}{'/' if entry.is_dir() else ''}"

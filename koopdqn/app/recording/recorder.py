@@ -1,0 +1,364 @@
+"""Recording by keys: what is under way, what is kept, what each key makes of it, and how the arm moves."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.app.recording.log import LOG, KeyLine, logged_keys, session_line
+from koopdqn.app.recording.playing import played, samples_of
+from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.oracles.journal import JournalFile
+from koopdqn.paths import arc_lengths, between
+from koopdqn.pose import Array
+from koopdqn.settings import shown
+from koopdqn.tasks.reachability import Motion, Reachability
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Workcell
+
+_AXES: Final = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0)}
+"""Axis of the base and sense of each key that moves along one."""
+_TURNS: Final = {"i": (0, 1.0), "k": (0, -1.0), "j": (1, 1.0), "l": (1, -1.0), "t": (2, 1.0), "h": (2, -1.0)}
+"""Axis of the tool and sense of each key that turns about one."""
+_STRAIGHT: Final = "g"
+_TOWARD: Final = "o"
+MOVES: Final = (*_AXES, *_TURNS, _STRAIGHT, _TOWARD)
+"""The keys that move the arm."""
+_TURNS_PER_ACTION: Final = 2.0
+"""How far an action turns on the spot, in rotation tolerances (Table 1's third)."""
+_SAME_M: Final = 1e-9
+_SAME_RAD: Final = 1e-9
+
+
+def target(key: str, here: Array, goal: Array, step: float, turn: float) -> Array:
+    """Return the pose (7,) to which a key of :data:`MOVES` moves the flange.
+
+    Args:
+        key: which one.
+        here: the flange's pose (7,).
+        goal: the task's goal (7,).
+        step: how far a key moves [m]; straight at the goal no farther than the goal.
+        turn: how far a key turns [rad]; toward the goal's orientation no farther than that.
+    """
+    moved = here.copy()
+    if key in _AXES:
+        axis, sense = _AXES[key]
+        moved[axis] += sense * step
+    elif key == _STRAIGHT:
+        moved[pose.POSITION] = pose.moved_toward(here[pose.POSITION], goal[pose.POSITION], step)
+    elif key == _TOWARD:
+        moved[pose.QUATERNION] = pose.turned_toward(here[pose.QUATERNION], goal[pose.QUATERNION], turn)
+    else:
+        axis, sense = _TURNS[key]
+        about = pose.from_rotation_vector(sense * turn * np.eye(3)[axis])
+        moved[pose.QUATERNION] = pose.normalized(pose.multiply(here[pose.QUATERNION], about))
+    return moved
+
+
+def same(a: Array, b: Array) -> bool:
+    """Return whether two poses (7,) are one."""
+    return bool(pose.position_distance(a, b) < _SAME_M and pose.rotation_distance(a, b) < _SAME_RAD)
+
+
+def driven(here: Array, there: Array, joints: Array, task: Task, reachability: Reachability) -> Motion:
+    """Return what becomes of moving the flange from one pose (7,) straight to another, from joints (6,) [rad].
+
+    The way is tested at every step that an action of the agent would make of it.
+    """
+    steps = float(pose.position_distance(here, there)) / task.step_m
+    turns = float(pose.rotation_distance(here, there)) / (_TURNS_PER_ACTION * task.rotation_tolerance_rad)
+    count = max(1, int(np.ceil(max(steps, turns) - 1e-9)))
+    motion = Motion(joints)
+    for index in range(1, count + 1):
+        if motion.joints is not None:
+            motion = reachability.move(between(here, there, index / count), motion.joints)
+    return motion
+
+
+_LARGER: Final = ("+", "=")
+_SMALLER: Final = ("-", "_")
+_SCALES: Final = (-5, 3)
+"""Least and largest power of two by which the step is scaled."""
+
+
+LARGEST_TURN: Final = 0.8
+"""More [rad] no key turns."""
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What a key did.
+
+    Attributes:
+        text: in one line.
+        changed: whether anything is other than before.
+    """
+
+    text: str
+    changed: bool
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that an undo brings back.
+
+    Attributes:
+        start: number of the start that was drawn, from 0.
+        path: poses (N, 7) that the keys reached, the start first; the arm is at the last.
+        joints: joint angles (N, 6) [rad] there.
+        kept: the demonstrations that are done.
+    """
+
+    start: int
+    path: tuple[Array, ...]
+    joints: tuple[Array, ...]
+    kept: tuple[Demonstration, ...] = ()
+
+    @property
+    def moves(self) -> int:
+        """How many moves were made since the start."""
+        return len(self.path) - 1
+
+
+class Recorder:
+    """Records demonstrations of one task from keys. The same keys make the same demonstrations."""
+
+    def __init__(self, workcell: Workcell, settings: DemoSettings, seed: int) -> None:
+        """Begin at the first drawn start.
+
+        Raises:
+            BadInputError: hardly any start can be taken.
+        """
+        self._workcell = workcell
+        self._settings = settings
+        self._seed = seed
+        self._scale = 0
+        self._earlier: list[State] = []
+        self._doubted: State | None = None
+        self.state = self._begun(0, ())
+
+    @property
+    def task(self) -> Task:
+        """The task that is shown."""
+        return self._workcell.task
+
+    @property
+    def step(self) -> float:
+        """How far a key moves now [m]."""
+        return float(self._settings.keyboard.step_m * 2.0**self._scale)
+
+    @property
+    def turn(self) -> float:
+        """How far a key turns now [rad]."""
+        return min(float(self._settings.keyboard.turn_rad * 2.0**self._scale), LARGEST_TURN)
+
+    @property
+    def here(self) -> Array:
+        """Where the flange is (7,)."""
+        return self.state.path[-1]
+
+    @property
+    def joints(self) -> Array:
+        """Where the joints are (6,) [rad]."""
+        return self.state.joints[-1]
+
+    @property
+    def length(self) -> float:
+        """How long the path under way is [m]."""
+        return float(arc_lengths(np.array(self.state.path)[:, pose.POSITION])[-1])
+
+    @property
+    def samples(self) -> int:
+        """How many samples the path under way has; it is played at the speed that is set."""
+        return samples_of(np.array(self.state.path), self._settings) if self.state.moves else 1
+
+    def press(self, key: str, *, sure: bool = False) -> Reply:
+        """Do what a key says and tell it.
+
+        Args:
+            key: one character.
+            sure: whether an end away from the goal is kept without asking once more.
+        """
+        if key in MOVES:
+            return self._move(key)
+        if key in _LARGER or key in _SMALLER:
+            return self._rescale(1 if key in _LARGER else -1)
+        if key == "u":
+            return self._undo()
+        if key == "b":
+            return self._mark_start()
+        if key == "e":
+            return self._mark_end(sure=sure)
+        if key == "x":
+            return self._discard()
+        if key == "n":
+            state = self._begun(self.state.start + 1, self.state.kept)
+            return self._become(state, f"New start; {_counted(self.state.moves)} dropped (u brings them back)")
+        return Reply(f"{key!r} is no key here; ? lists them", changed=False)
+
+    def _move(self, key: str) -> Reply:
+        there = target(key, self.here, self.task.goal, self.step, self.turn)
+        if same(self.here, there):
+            return Reply("Nothing to move: that is as the goal has it already", changed=False)
+        motion = driven(self.here, there, self.joints, self.task, self._workcell.reachability)
+        if motion.joints is None:
+            return Reply(f"Refused: {motion.reason.replace('_', ' ')}: {motion.detail}", changed=False)
+        state = replace(
+            self.state, path=(*self.state.path, there), joints=(*self.state.joints, np.array(motion.joints))
+        )
+        return self._become(state, "")
+
+    def _rescale(self, by: int) -> Reply:
+        scale = int(np.clip(self._scale + by, *_SCALES))
+        changed, self._scale = scale != self._scale, scale
+        limit = "" if changed else ", the limit"
+        return Reply(f"A key moves {self.step * 1e3:.4g} mm and turns {np.degrees(self.turn):.3g}°{limit}", changed)
+
+    def _undo(self) -> Reply:
+        if not self._earlier:
+            return Reply("Nothing is left to undo", changed=False)
+        taken_back = len(self._earlier[-1].kept) < len(self.state.kept)
+        self.state = self._earlier.pop()
+        text = "The demonstration kept last is under way again" if taken_back else "Undone"
+        return Reply(f"{text}; {_counted(self.state.moves)} recorded", changed=True)
+
+    def _mark_start(self) -> Reply:
+        if not self.state.moves:
+            return Reply("The start is here already", changed=False)
+        state = replace(self.state, path=self.state.path[-1:], joints=self.state.joints[-1:])
+        return self._become(state, f"The start is here; {_counted(self.state.moves)} dropped (u brings them back)")
+
+    def _discard(self) -> Reply:
+        state = self._begun(self.state.start, self.state.kept)
+        if not self.state.moves and same(self.here, state.path[0]):
+            return Reply("Nothing to discard", changed=False)
+        return self._become(state, f"Discarded: {_counted(self.state.moves)}; back at the start (u brings them back)")
+
+    def _mark_end(self, *, sure: bool) -> Reply:
+        task, state = self.task, self.state
+        if self.length < task.step_m:
+            least = f"at least one step of {task.step_m * 1e3:g} mm"
+            return Reply(f"Not kept: a path must be {least} long, found {self.length * 1e3:.2g} mm", changed=False)
+        if not sure and not task.reached(self.here[None])[0] and self._doubted is not state:
+            self._doubted = state
+            return Reply(f"{self.off_goal()}; e again keeps it", changed=False)
+        try:
+            item, reason = played(np.array(state.path), state.joints[0], self._settings, self._workcell.reachability)
+        except WorkFailedError as error:
+            return Reply(f"Not kept: the arm cannot follow at {self._settings.speed_m_s:g} m/s: {error}", changed=False)
+        text = f"Kept: demonstration {len(state.kept)}, {len(item)} samples, {item.times[-1]:.1f} s"
+        if reason:
+            text += f"; rounded off less: {reason}"
+        if task.rule_broken(item.poses).any():
+            text += f"; it breaks the rule: {task.rule}"
+        return self._become(self._begun(state.start + 1, (*state.kept, item)), f"{text}; a new start")
+
+    def off_goal(self) -> str:
+        """Return how far the goal is and what that means for ``fit`` and ``train``, in one line."""
+        task = self.task
+        apart = float(pose.position_distance(self.here, task.goal)) * 1e3
+        turned = np.degrees(float(pose.rotation_distance(self.here, task.goal)))
+        within = f"{task.goal_tolerance_m * 1e3:g} mm, {np.degrees(task.goal_rotation_tolerance_rad):.2g}°"
+        return f"{apart:.1f} mm, {turned:.1f}° off the goal: fit and train refuse over {within}"
+
+    def _become(self, state: State, text: str) -> Reply:
+        self._earlier.append(self.state)
+        self.state = state
+        return Reply(text, changed=True)
+
+    def _begun(self, start: int, kept: tuple[Demonstration, ...]) -> State:
+        # Each start has a stream of its own, whatever was drawn before.
+        rng = np.random.default_rng([self._seed, 1, start])
+        poses, joints, _ = self._workcell.reachability.draw_starts(self.task, rng, 1)
+        return State(start, (poses[0],), (joints[0],), kept)
+
+
+def _counted(moves: int) -> str:
+    return f"{moves} move{'' if moves == 1 else 's'}"
+
+
+class Recording:
+    """A recorder whose every key and every demonstration is on disk before the next key. Close it.
+
+    Attributes:
+        recorder: what is recorded.
+    """
+
+    def __init__(self, workcell: Workcell, settings: DemoSettings, seed: int, folder: Path, name: str) -> None:
+        """Begin in a run folder, or go on with the recording that it holds.
+
+        Args:
+            workcell: task, arm and scene.
+            settings: how keys move the arm and how paths are played.
+            seed: by which starts are drawn.
+            folder: the run folder.
+            name: of the file of demonstrations in it.
+
+        Raises:
+            BadInputError: what the folder holds is damaged, or is of another recording.
+        """
+        self.recorder = Recorder(workcell, settings, seed)
+        self._workcell = workcell
+        self._path = folder / name
+        session = session_line(workcell, settings, seed)
+        log = folder / LOG
+        keys = logged_keys(log, session)
+        before = self.demonstrations()
+        for number, key in enumerate(keys, start=2):
+            before = self.demonstrations()
+            reply = self.recorder.press(key, sure=True)
+            if not reply.changed:
+                raise BadInputError(f"{log}, line {number}: {shown(key)} must do what it did then, found: {reply.text}")
+        self._check_file(before)
+        begun = log.exists() and b"\n" in log.read_bytes()
+        self._log = JournalFile(log)
+        if not begun:
+            self._log.append(session)
+        self._written = -1
+        self._write()
+
+    def demonstrations(self) -> Demonstrations | None:
+        """Return what is kept so far, or None if nothing is."""
+        kept = self.recorder.state.kept
+        return Demonstrations(self._workcell.task.name, self._workcell.arm.name, kept) if kept else None
+
+    def press(self, key: str) -> Reply:
+        """Do what a key says; what it changed is on disk when this returns."""
+        reply = self.recorder.press(key)
+        if reply.changed:
+            self._log.append(KeyLine(kind="key", key=key))
+            self._write()
+        return reply
+
+    def close(self) -> None:
+        """Close the log."""
+        self._log.close()
+
+    def _write(self) -> None:
+        count = len(self.recorder.state.kept)
+        if count == self._written:
+            return
+        kept = self.demonstrations()
+        if kept is not None:
+            write_hdf5(self._path, kept)
+        else:
+            # Its one demonstration was taken back; the log holds it.
+            self._path.unlink(missing_ok=True)
+        self._written = count
+
+    def _check_file(self, before: Demonstrations | None) -> None:
+        """Raise unless the file of demonstrations is that of the log, or of the log ``before`` its last key."""
+        if not self._path.exists():
+            return
+        found, kept = read_hdf5(self._path), self.demonstrations()
+        if found.digest() not in [item.digest() for item in (kept, before) if item is not None]:
+            recorded = len(self.recorder.state.kept)
+            raise BadInputError(
+                f"run: {self._path} must hold the {recorded} demonstrations that {LOG} beside it records,"
+                f" found {len(found)} that differ"
+            )

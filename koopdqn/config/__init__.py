@@ -1,4 +1,0 @@
-"""Configuration: typed settings, where conf/ and assets/ live, and Hydra behind the command line.
-
-Import the modules, not this package: each loads only what it needs.
-"""

@@ -1,0 +1,174 @@
+"""Generating demonstrations: the scripted demonstrator with a person's variation, on the MuJoCo arm."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.errors import WorkFailedError
+from koopdqn.paths import arc_lengths, at_arc_lengths, hausdorff
+from koopdqn.pose import Array
+from koopdqn.settings import Settings
+from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.task import Task
+
+_HARMONICS = 3
+_SUBSTEPS = 4
+# From one start, two demonstrations of a set differ by at least this share of the wander (Hausdorff distance), so
+# that no two are nearly the same: 5.2 mm where the wander is 4.5 mm.
+_LEAST_DIFFERENCE = 1.155
+# Paths are smooth: every fourth pose, a step apart, tells them apart as well as all do.
+_COARSER = _SUBSTEPS
+
+
+class DemonstrationSettings(Settings):
+    """How many demonstrations are generated, and how fast they are shown."""
+
+    count: int = Field(ge=1, le=1000)
+    speed_m_s: float = Field(ge=0.001, le=1.0, description="average speed of the flange [m/s]")
+    pace_variation: float = Field(ge=0, lt=1, description="how much the speed rises and falls, as a share of it")
+    sample_seconds: float = Field(ge=0.001, le=0.2, description="time between two recorded samples [s]")
+
+
+@dataclass(frozen=True)
+class Generated:
+    """Generated demonstrations and what it took.
+
+    Attributes:
+        demonstrations: the trajectories.
+        redrawn: draws per reason that the arm could not carry out and that were drawn again.
+    """
+
+    demonstrations: Demonstrations
+    redrawn: dict[str, int]
+
+
+def generate(
+    task: Task,
+    reachability: Reachability,
+    settings: DemonstrationSettings,
+    seed: int,
+    advance: Callable[[int], None] = lambda done: None,
+) -> Generated:
+    """Return demonstrations of a task, each from its own start with its own smooth shape and pace.
+
+    Args:
+        task: whose demonstrator is followed.
+        reachability: the arm in the task's scene; every sample is reached by it without touching anything.
+        settings: how many, how fast.
+        seed: fixes everything.
+        advance: told the number of demonstrations done.
+
+    Raises:
+        WorkFailedError: the arm cannot follow the demonstrator even without variation, or too many draws in a row
+            could not be carried out.
+    """
+    rng = np.random.default_rng([seed, 1])
+    items: list[Demonstration] = []
+    shapes = _Shapes(task, rng)
+    redrawn: dict[str, int] = {}
+    while len(items) < settings.count:
+        start = task.draw_demonstrated_starts(rng, 1)[0]
+        joints, reason = None, reachability.enter(start).reason
+        if not reason:
+            shape = shapes.draw()
+            times, poses = _paced(_wandered(_follow(task, start), shape), settings, rng)
+            joints, reason = reachability.follow(poses)
+        if joints is None:
+            if not redrawn:
+                _check_path(task, reachability, settings)
+            redrawn[reason] = redrawn.get(reason, 0) + 1
+            if sum(redrawn.values()) > 20 * (len(items) + 5):
+                raise WorkFailedError(
+                    f"demonstrations of task {task.name}: the arm must be able to follow most draws,"
+                    f" found {sum(redrawn.values())} refused: {redrawn}"
+                )
+            continue
+        shapes.keep(shape)
+        items.append(Demonstration(times, reachability.flange_poses(joints), joints))
+        advance(len(items))
+    return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
+
+
+def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
+    """Raise unless the arm can follow the demonstrator without variation; where it cannot, drawing again is no use."""
+    _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
+    motion = reachability.enter(poses[0])
+    for reached in poses[1:]:
+        if motion.joints is not None:
+            motion = reachability.move(reached, motion.joints)
+        if motion.joints is None:
+            raise WorkFailedError(
+                f"task {task.name}: the arm must be able to follow the demonstrator, found at"
+                f" {np.round(reached[pose.POSITION], 3).tolist()} m: {motion.reason}: {motion.detail}"
+            )
+
+
+def wander(task: Task, rng: np.random.Generator) -> Array:
+    """Return a smooth offset (M, 3) [m] for every point of the task's path.
+
+    It is a short random sine series along the path that vanishes at both ends and whose largest
+    value is the task's ``variation_m``.
+    """
+    along = np.linspace(0.0, 1.0, len(task.nominal_path.points))
+    offset = np.zeros((len(along), 3))
+    for harmonic in range(1, _HARMONICS + 1):
+        offset += rng.normal(size=3) / harmonic * np.sin(np.pi * harmonic * along)[:, None]
+    return np.asarray(offset * (task.variation_m / np.linalg.norm(offset, axis=1).max()), dtype=float)
+
+
+class _Shapes:
+    """Shapes of a set of demonstrations, each told apart from the others on the path from one and the same start."""
+
+    def __init__(self, task: Task, rng: np.random.Generator) -> None:
+        self._task, self._rng = task, rng
+        self._path = _follow(task, task.nominal_start)
+        self._kept: list[Array] = []
+
+    def draw(self) -> Array:
+        """Return a new shape (M, 3) [m]; in a crowded set, that has no room for another, it is as it comes."""
+        for _ in range(1000):
+            shape = wander(self._task, self._rng)
+            path = self._shown(shape)
+            least = _LEAST_DIFFERENCE * self._task.variation_m
+            if all(hausdorff(path, other) >= least for other in self._kept):
+                return shape
+        return wander(self._task, self._rng)
+
+    def keep(self, shape: Array) -> None:
+        """Take a shape (M, 3) [m] into the set."""
+        self._kept.append(self._shown(shape))
+
+    def _shown(self, shape: Array) -> Array:
+        return _wandered(self._path, shape)[::_COARSER, pose.POSITION]
+
+
+def _follow(task: Task, start: Array) -> Array:
+    limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
+    return task.law(finer=_SUBSTEPS).roll_out(start, limit)
+
+
+def _wandered(path: Array, shape: Array) -> Array:
+    # The wander lies on the person's own path from this start, however gently that comes back to the nominal one.
+    arc = arc_lengths(path[:, pose.POSITION])
+    offset = at_arc_lengths(shape, np.linspace(0.0, arc[-1], len(shape)), arc)
+    return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
+
+
+def _paced(poses: Array, settings: DemonstrationSettings, rng: np.random.Generator) -> tuple[Array, Array]:
+    # Speed eases in and out and swells smoothly in between; time is the integral of its inverse.
+    arc = arc_lengths(poses[:, pose.POSITION])
+    share = arc / arc[-1]
+    swell = sum(rng.uniform(-1, 1) * np.sin(np.pi * (k + 1) * share + rng.uniform(0, np.pi)) for k in range(2))
+    ease = np.clip(np.minimum(share, 1 - share) / 0.1, 0, 1)
+    speed = settings.speed_m_s * (0.25 + 0.75 * ease) * (1 + 0.5 * settings.pace_variation * swell)
+    seconds = np.concatenate([[0.0], np.cumsum(np.diff(arc) / (0.5 * (speed[1:] + speed[:-1])))])
+    times = np.arange(0.0, seconds[-1], settings.sample_seconds)
+    if seconds[-1] - times[-1] < 1e-9:
+        times = times[:-1]
+    times = np.append(times, seconds[-1])
+    values = at_arc_lengths(poses, seconds, times)
+    return times, pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION])

@@ -1,0 +1,251 @@
+"""Preprocessing of recorded demonstrations: trim idle ends, smooth noise, align goals, measure turns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.errors import BadInputError
+from koopdqn.paths import arc_lengths
+from koopdqn.pose import Array
+from koopdqn.tasks.demonstrated import Turning
+
+# A demonstration is bent over ten times what its end is moved by, so that its direction changes by no more than
+# some ten degrees; a short one over its later half.
+_BENT = 10.0
+
+
+def goal_of(items: Sequence[Demonstration]) -> Array:
+    """Return the mean pose (7,) of the ends of demonstrations.
+
+    The mean orientation is the largest eigenvector of Σ q qᵀ (Markley et al., Averaging quaternions, 2007).
+    """
+    ends = np.array([item.poses[-1] for item in items])
+    quaternions = ends[:, pose.QUATERNION]
+    _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
+    mean = vectors[:, -1]
+    # Of its two signs that of the first end, so that nothing hangs on the eigenvector's.
+    return pose.make(ends[:, pose.POSITION].mean(axis=0), mean * (1.0 if mean @ quaternions[0] >= 0 else -1.0))
+
+
+def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> float:
+    """Return the largest distance [m] of an end from the goal (7,).
+
+    Raises:
+        BadInputError: it is more than ``most`` times the median way from start to end.
+    """
+    way = float(np.median([pose.position_distance(item.poses[0], item.poses[-1]) for item in items]))
+    apart = [float(pose.position_distance(item.poses[-1], goal)) for item in items]
+    worst = int(np.argmax(apart))
+    if apart[worst] > most * way:
+        raise BadInputError(
+            f"demonstration {worst} must end within task.end_spread = {most:g} times the median way of {way:.3f} m of"
+            f" the mean of all ends, found {apart[worst]:.3f} m: demonstrations of one task share their goal"
+        )
+    return apart[worst]
+
+
+def check_orientation(items: Sequence[Demonstration], goal: Array, most: float) -> None:
+    """Raise unless every end is turned from the goal (7,) by at most ``most`` [rad].
+
+    Raises:
+        BadInputError: one is turned more.
+    """
+    turned = [float(pose.rotation_distance(item.poses[-1], goal)) for item in items]
+    worst = int(np.argmax(turned))
+    if turned[worst] > most:
+        raise BadInputError(
+            f"demonstration {worst} must end within task.end_spread_rad = {most:g} rad of the mean orientation of all"
+            f" ends, found {turned[worst]:.3f} rad; task.turning=free leaves orientation out"
+        )
+
+
+def to_goal(item: Demonstration, goal: Array) -> Demonstration:
+    """Return a demonstration bent so that it ends at the goal (7,), without its joint angles.
+
+    The later a pose, the more of the way from the demonstration's own end to the goal it is moved and turned: a
+    smooth step over the last part of the path, which is ten times as long as that way or half the path.
+    """
+    offset = goal[pose.POSITION] - item.poses[-1, pose.POSITION]
+    arc = arc_lengths(item.poses[:, pose.POSITION])
+    length = max(min(_BENT * float(np.linalg.norm(offset)), 0.5 * arc[-1]), 1e-9)
+    share = np.clip((arc - (arc[-1] - length)) / length, 0.0, 1.0)
+    weight = share**2 * (3.0 - 2.0 * share)
+    position = item.poses[:, pose.POSITION] + weight[:, None] * offset
+    # A turn has no length on the path, so it is made up for over the later half.
+    half = np.clip(2.0 * arc / max(arc[-1], 1e-9) - 1.0, 0.0, 1.0)
+    turn = pose.to_rotation_vector(
+        pose.multiply(goal[pose.QUATERNION], pose.conjugate(item.poses[-1, pose.QUATERNION]))
+    )
+    bend = pose.from_rotation_vector((half**2 * (3.0 - 2.0 * half))[:, None] * turn)
+    poses = pose.make(position, pose.multiply(bend, item.poses[:, pose.QUATERNION]))
+    # Exactly there, whatever rounding made of it.
+    sign = 1.0 if poses[-1, pose.QUATERNION] @ goal[pose.QUATERNION] >= 0 else -1.0
+    poses[-1] = pose.make(goal[pose.POSITION], sign * goal[pose.QUATERNION])
+    return Demonstration(item.times, poses)
+
+
+STILL_M = 0.001
+"""Within this distance of where it stood the arm still stands [m]; sensor noise widens it."""
+STILL_RAD = 0.01
+"""The same for a turn [rad]."""
+# Standard deviations of the noise that a still arm's samples are allowed, and how much that may widen the limits:
+# what looks like noise in a sparse recording is its motion.
+_SIGMAS = 4.0
+_WIDEST = 3.0
+_FEWEST = 5
+
+
+@dataclass(frozen=True)
+class Trimmed:
+    """A demonstration without its idle ends.
+
+    Attributes:
+        item: what is left; its first and last pose are those at which the arm stood.
+        before: idle time cut off at the start [s].
+        after: idle time cut off at the end [s].
+    """
+
+    item: Demonstration
+    before: float
+    after: float
+
+
+def trimmed(item: Demonstration) -> Trimmed:
+    """Return a demonstration without its idle ends.
+
+    The arm stands still as long as every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first one, or
+    within four standard deviations of the recording's own noise where that is more, up to three times as much. Of
+    the idle samples one is kept, the last of those at the start and the first of those at the end, with the pose at
+    rest: the mean of those within four standard deviations of the very first or last. Joint angles, where known,
+    are those of the kept samples.
+
+    Raises:
+        BadInputError: nothing moves.
+    """
+    limits, noise = np.array([STILL_M, STILL_RAD]), _SIGMAS * np.array(noise_of(item))
+    distance, turn = np.clip(noise, limits, _WIDEST * limits).tolist()
+    first = _still(item.poses, distance, turn) - 1
+    last = len(item) - _still(item.poses[::-1], distance, turn)
+    if first >= last:
+        raise BadInputError(
+            f"the arm must move by more than {distance * 1e3:.3g} mm or {np.degrees(turn):.2g}°,"
+            " found it standing still"
+        )
+    poses = item.poses[first : last + 1].copy()
+    poses[0], poses[-1] = _rest(item.poses[: first + 1], *noise), _rest(item.poses[last:][::-1], *noise)
+    joints = None if item.joints is None else item.joints[first : last + 1]
+    before, after = item.times[first] - item.times[0], item.times[-1] - item.times[last]
+    return Trimmed(Demonstration(item.times[first : last + 1], poses, joints), float(before), float(after))
+
+
+def noise_of(item: Demonstration) -> tuple[float, float]:
+    """Return the standard deviations of the noise of positions [m] and orientations [rad], each that of its length.
+
+    It is the median size of second differences, which motion hardly shows in: those of white noise of standard
+    deviation σ have √6·σ in each component.
+    """
+    if len(item) < _FEWEST:
+        return 0.0, 0.0
+    position = np.diff(item.poses[:, pose.POSITION], n=2, axis=0)
+    # Of a small turn the quaternion's vector part is half.
+    turn = 2.0 * np.diff(item.poses[:, pose.QUATERNION], n=2, axis=0)
+    sizes = [float(np.median(np.linalg.norm(values, axis=1))) for values in (position, turn)]
+    return sizes[0] / np.sqrt(6.0), sizes[1] / np.sqrt(6.0)
+
+
+def _still(poses: Array, distance: float, turn: float) -> int:
+    """Return how many poses (N, 7) from the first on are within distance [m] and turn [rad] of it."""
+    moved = (pose.position_distance(poses, poses[0]) > distance) | (pose.rotation_distance(poses, poses[0]) > turn)
+    return int(moved.argmax()) if moved.any() else len(poses)
+
+
+def _rest(poses: Array, distance: float, turn: float) -> Array:
+    """Return the mean (7,) of the poses (N, 7) that are within distance [m] and turn [rad] of the first."""
+    near = (pose.position_distance(poses, poses[0]) <= distance) & (pose.rotation_distance(poses, poses[0]) <= turn)
+    near[0] = True
+    mean = poses[near].mean(axis=0)
+    return pose.make(mean[pose.POSITION], mean[pose.QUATERNION])
+
+
+MOST_SAMPLES = 1000
+"""A longer recording is first averaged over runs of samples, down to about so many."""
+_FEWEST_SAMPLES = 10
+# A component that varies less than this is constant as far as its sensor can tell [m, 1].
+_CONSTANT = 1e-6
+# Logarithms of the penalties λ looked among: from none to what leaves waves of some hundred samples.
+_LOG_PENALTIES = (-12.0, 18.0)
+
+
+def smoothed(item: Demonstration) -> Demonstration:
+    """Return a demonstration whose sensor noise is smoothed out.
+
+    Each component of position and quaternion is the minimiser of ‖y − z‖² + λ‖Δ²z‖² (Whittaker 1923), with the λ that
+    generalised cross-validation chooses (Craven & Wahba 1979): from a recording without noise that is the recording
+    itself, and noise is taken out as far as it can be told from the motion. Fewer than 10 samples stay
+    as they are. Joint angles, which would no longer belong to the poses, are left out.
+    """
+    times, poses = _thinned(item.times, item.poses)
+    if len(times) < _FEWEST_SAMPLES:
+        return item
+    values = np.stack([_even(poses[:, i]) for i in range(poses.shape[1])], axis=1)
+    return Demonstration(times, pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION]))
+
+
+def _even(values: Array) -> Array:
+    from scipy.linalg import solveh_banded
+    from scipy.optimize import minimize_scalar
+
+    if np.ptp(values) < _CONSTANT:
+        return values
+    count = len(values)
+    # Δ²ᵀΔ², whose upper diagonals are its convolution kernel but for the ends.
+    second = np.zeros((3, count))
+    for offset, product in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
+        for shift, value in enumerate(product):
+            second[2 - offset, offset + shift : count - len(product) + 1 + shift] += value
+    # Their eigenvalues are near those with mirrored ends, which cosines give (Garcia 2010).
+    roughness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** 2
+
+    def even(log_penalty: float) -> Array:
+        bands = np.exp(log_penalty) * second
+        bands[2] += 1.0
+        return np.asarray(solveh_banded(bands, values))
+
+    def score(log_penalty: float) -> float:
+        penalty = np.exp(log_penalty)
+        lost = float((penalty * roughness / (1.0 + penalty * roughness)).sum())
+        return float(((values - even(log_penalty)) ** 2).sum()) / lost**2
+
+    return even(float(minimize_scalar(score, bounds=_LOG_PENALTIES, method="bounded").x))
+
+
+def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
+    """Return times (M,) and poses (M, 7) averaged over equal runs of samples; first and last sample stay."""
+    run = -(-len(times) // MOST_SAMPLES)
+    if run == 1:
+        return times, poses
+    begins = np.arange(1, len(times) - 1, run)
+    counts = np.diff([*begins, len(times) - 1])
+    inner = [np.add.reduceat(values[:-1], begins, axis=0) for values in (times[:, None], poses)]
+    mean_times, mean_poses = (values / counts[:, None] for values in inner)
+    return (
+        np.concatenate([times[:1], mean_times[:, 0], times[-1:]]),
+        np.concatenate([poses[:1], mean_poses, poses[-1:]]),
+    )
+
+
+def turning_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> Turning:
+    """Return what pose trajectories (N, 7) do with orientation on their way to the goal (7,).
+
+    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Geodesic: anything else. People turn a
+    little off the geodesic; of their turn the part toward the goal is what Table 1 can follow.
+    """
+    return "held" if largest_turn_from(trajectories, goal) <= held_limit else "geodesic"
+
+
+def largest_turn_from(trajectories: Sequence[Array], goal: Array) -> float:
+    """Return the largest angle [rad] by which a pose of the trajectories (N, 7) is turned from the goal (7,)."""
+    return max(float(pose.rotation_distance(trajectory, goal).max()) for trajectory in trajectories)

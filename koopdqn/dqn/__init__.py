@@ -1,1 +1,0 @@
-"""The double deep Q-network: what the arm learns with."""

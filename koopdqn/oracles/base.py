@@ -1,0 +1,177 @@
+"""The oracle: who says right or wrong where the intent model is not trusted (getHumanFeedback in Algorithm 1)."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from pydantic import Field
+
+from koopdqn.errors import KoopdqnError
+from koopdqn.pose import Array
+from koopdqn.settings import Count, Name, Settings
+
+if TYPE_CHECKING:
+    from koopdqn.tasks.workcell import Workcell
+
+
+class PauseRequested(KoopdqnError):  # noqa: N818 (a wish of the person's, no fault)
+    """Who answers wants to go on another time: what is answered is kept, and the command ends with status 130."""
+
+    exit_status = 130
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """An answer given before, which may still be withdrawn.
+
+    Attributes:
+        number: of the answer, from 0.
+        episode: number of its episode.
+        step: step within it.
+        action: index of the action that was asked about.
+        right: the answer.
+    """
+
+    number: int
+    episode: int
+    step: int
+    action: int
+    right: bool | None
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a question stands among those gathered in an episode and asked at its end.
+
+    Attributes:
+        number: of the question among those asked, from 1.
+        expected: of them all, if every answer is yes; a no ends them.
+    """
+
+    number: int
+    expected: int
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question: was this action right?
+
+    Attributes:
+        episode: number of the episode.
+        step: step within it.
+        pose: before the action (7,).
+        start: where the episode began (7,).
+        action: index of the action in Table 1, from 0.
+        reached: pose after it (7,).
+        predicted: where the intent model would have gone (7,).
+        reason: why it is asked, for people.
+        number: questions answered before this one.
+        left: questions that the budget leaves, this one included; None without a budget.
+        candidates: the poses (10, 7) that all actions reach; None if unknown.
+        progress: one line about how the learning goes, for people.
+        earlier: the answers that may be withdrawn, oldest first.
+        place: among the questions of its episode; None if it is asked at once.
+    """
+
+    episode: int
+    step: int
+    pose: Array
+    start: Array
+    action: int
+    reached: Array
+    predicted: Array
+    reason: str
+    number: int = 0
+    left: int | None = None
+    candidates: Array | None = None
+    progress: str = ""
+    earlier: Sequence[Earlier] = ()
+    place: Place | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer.
+
+    Attributes:
+        right: whether the action was right; None if the question was skipped, which is not a no.
+        source: who answered.
+        seconds: how long the answer took [s]; it is recorded and shapes nothing.
+        better: index of the action that would have been right; None if nothing was said. Unless it is the
+            action asked about, ``right`` is false with it.
+        undo: how many earlier answers, the latest first, are withdrawn before this one stands; skipped questions
+            are none.
+        again: nothing is answered yet but the undo is to be written down; the same question is asked again.
+    """
+
+    right: bool | None
+    source: str
+    seconds: float = 0.0
+    better: int | None = None
+    undo: int = 0
+    again: bool = False
+
+
+class Oracle(ABC):
+    """Whoever answers questions: a script, a person, a file, another program."""
+
+    @abstractmethod
+    def answer(self, question: Question) -> Answer:
+        """Return the answer to a question.
+
+        Raises:
+            PauseRequested: who answers wants to go on another time.
+        """
+
+    def learning(self, progress: str) -> None:
+        """Hear how the learning goes, in one line; called between two rounds, so often that it must be quick.
+
+        Raises:
+            PauseRequested: who answers wants to go on another time.
+        """
+        return
+
+    def close(self) -> None:
+        """Release what the oracle holds (a terminal, a file)."""
+        return
+
+
+class OracleSettings(Settings, ABC):
+    """Settings of an oracle; a new kind of oracle is a subclass and a YAML file."""
+
+    shows_progress: ClassVar[bool] = False
+    """Whether the oracle itself shows on the terminal how the learning goes."""
+
+    name: Name
+    budget: Count | None = Field(default=None, description="most questions asked; null for no limit")
+    when_spent: Literal["stop", "distrust", "scripted"] = Field(
+        default="stop",
+        description="when the budget is spent: stop training, give no reward outside the trust domain, or ask the"
+        " scripted oracle",
+    )
+    ask: Literal["at_once", "episode"] = Field(
+        default="at_once",
+        description="when to ask: where a question arises, or all of an episode together when it has ended",
+    )
+    gather_most: Count = Field(
+        default=10, description="with ask=episode: questions gathered in an episode, which ends at so many"
+    )
+
+    def check(self) -> None:
+        """Say before any work whether the oracle can work here.
+
+        Raises:
+            BadInputError: it cannot; the message names the alternatives.
+        """
+
+    @abstractmethod
+    def open(self, workcell: "Workcell", seed: int, folder: Path) -> Oracle:
+        """Return the oracle.
+
+        Args:
+            workcell: task, arm and scene that the questions are about.
+            seed: fixes the oracle's chance, if it has any.
+            folder: the run folder, for what the oracle keeps.
+        """

@@ -1,0 +1,217 @@
+"""Repairing journals: answers changed afterwards, journals of several teachers merged, and their agreement."""
+
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from statistics import median
+
+from koopdqn.errors import BadInputError
+from koopdqn.files import atomic_path
+from koopdqn.oracles.journal import (
+    AgreementSummary,
+    DropLine,
+    EditLine,
+    FeedbackSummary,
+    JournalFile,
+    OpinionLine,
+    Record,
+    Records,
+    TeacherSummary,
+    read_records,
+)
+
+_ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wrong": False, "s": None, "skip": None}
+
+
+def parsed_answer(text: str, action: int) -> tuple[bool | None, int | None]:
+    """Return what a text answers to a question about an action: right, and the better action.
+
+    Raises:
+        BadInputError: it is no answer.
+    """
+    if text.isascii() and len(text) == 1 and text.isdecimal():
+        return int(text) == action, int(text)
+    if text.lower() not in _ANSWERS:
+        raise BadInputError(f"answer: must be right, wrong, skip or a better action from 0 to 9, found {text!r}")
+    return _ANSWERS[text.lower()], None
+
+
+def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, *, drop_later: bool) -> Record:
+    """Change an answer of a journal by a new line in it, and return the answer as it is now.
+
+    Args:
+        path: the journal.
+        number: of the answer.
+        text: the new answer, as :func:`parsed_answer` reads it.
+        teacher: who changes it; None keeps who answered.
+        learned: how many answers the run in the journal's folder has learned from.
+        drop_later: whether all later answers no longer count.
+
+    Raises:
+        BadInputError: the journal is damaged or cannot be written, or has no such answer that stands.
+    """
+    records = read_records(path)
+    if not 0 <= number < len(records.items):
+        raise BadInputError(f"number: must be that of an answer, 0 to {len(records.items) - 1}, found {number}")
+    # Dropping what is later drops the withdrawal too.
+    if records.items[number].withdrawn and not drop_later:
+        raise BadInputError(f"number: must be that of an answer that stands, found {number}, which was withdrawn")
+    line = records.items[number].line
+    right, better = parsed_answer(text, line.action)
+    file = JournalFile(path)
+    try:
+        file.append(
+            EditLine(
+                kind="edit",
+                number=number,
+                right=right,
+                better=better,
+                source=teacher or line.source,
+                learned=number < learned,
+            )
+        )
+        if drop_later:
+            file.append(DropLine(kind="drop", number=number))
+    finally:
+        file.close()
+    return read_records(path).items[number]
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What became of journals that were merged.
+
+    Attributes:
+        answers: in the new journal.
+        opinions: of other teachers on them.
+        changed: answers that the majority changed.
+        left_out: answers to questions that the first journal does not have.
+    """
+
+    answers: int
+    opinions: int
+    changed: int
+    left_out: int
+
+
+def merge(paths: Sequence[Path], out: Path) -> Merged:
+    """Write a journal that holds the first one's answers and what the others say to the same questions.
+
+    Where most teachers answer otherwise than the first, their answer stands, as an edit; a tie leaves the first.
+    Answers to other questions belong to another course of training and are left out.
+
+    Raises:
+        BadInputError: fewer than two journals are given, one is damaged, or ``out`` exists.
+    """
+    if len(paths) < 2:
+        raise BadInputError(f"journals: must be 2 or more to be merged, found {len(paths)}")
+    if out.exists():
+        raise BadInputError(f"--out: must name a new file, found one: {out}")
+    first, *others = [read_records(path) for path in paths]
+    found, left_out = _opinions(first, others)
+    edits = [edit for number, said in found.items() if (edit := _by_majority(first.items[number], said)) is not None]
+    with atomic_path(out) as temporary:
+        shutil.copyfile(paths[0], temporary)
+        file = JournalFile(temporary)
+        try:
+            for line in [opinion for said in found.values() for opinion in said]:
+                file.append(line)
+            for change in edits:
+                file.append(change)
+        finally:
+            file.close()
+    return Merged(len(first.items), sum(map(len, found.values())), len(edits), left_out)
+
+
+def _opinions(first: Records, others: Sequence[Records]) -> tuple[dict[int, list[OpinionLine]], int]:
+    """Return what other journals say to the first one's questions by number, and how many answers are to none."""
+    numbers = {_key(item): item.line.number for item in first.items}
+    found: dict[int, list[OpinionLine]] = {}
+    left_out = 0
+    for item in (item for records in others for item in records.standing):
+        number = numbers.get(_key(item))
+        if number is None:
+            left_out += 1
+            continue
+        line = item.line
+        if line.source == first.items[number].line.source:
+            continue
+        opinion = OpinionLine(kind="opinion", number=number, right=line.right, better=line.better, source=line.source)
+        found.setdefault(number, []).append(opinion)
+    return dict(sorted(found.items())), left_out
+
+
+def _by_majority(item: Record, said: Sequence[OpinionLine]) -> EditLine | None:
+    every = [item.line.right, *(voice.right for voice in item.opinions), *(voice.right for voice in said)]
+    votes = Counter(right for right in every if right is not None)
+    winner = votes[True] > votes[False]
+    if votes[True] == votes[False] or winner == item.line.right:
+        return None
+    voices = [voice for voice in said if voice.right == winner]
+    source = voices[0].source if voices else item.line.source
+    better = next((voice.better for voice in voices if voice.better is not None), None)
+    return EditLine(kind="edit", number=item.line.number, right=winner, better=better, source=source, learned=False)
+
+
+def _key(item: Record) -> tuple[object, ...]:
+    return item.line.episode, item.line.step, item.line.action, *item.line.pose
+
+
+def summarised(journals: Sequence[Records]) -> FeedbackSummary:
+    """Return the figures of some journals together."""
+    items = [item for records in journals for item in records.items]
+    standing = [item for records in journals for item in records.standing]
+    by_teacher: dict[str, list[Record]] = defaultdict(list)
+    for item in standing:
+        by_teacher[item.line.source].append(item)
+    return FeedbackSummary(
+        answers=len(items),
+        withdrawn=len(items) - len(standing),
+        edited=sum(item.edited for item in items),
+        teachers=[_teacher(name, by_teacher[name]) for name in sorted(by_teacher)],
+        agreement=agreement(journals),
+    )
+
+
+def agreement(journals: Sequence[Records]) -> list[AgreementSummary]:
+    """Return how far every two teachers agree on the questions that both answered.
+
+    A question is the same where pose and action are; of a teacher's answers to it the latest counts, and skipping
+    is no answer.
+    """
+    said: dict[tuple[object, ...], dict[str, bool]] = defaultdict(dict)
+    for records in journals:
+        for item in records.standing:
+            for source, right in _voices(item):
+                if right is not None:
+                    said[(*item.line.pose, item.line.action)][source] = right
+    both: dict[tuple[str, str], list[bool]] = defaultdict(list)
+    for voices in said.values():
+        for one, other in combinations(sorted(voices), 2):
+            both[one, other].append(voices[one] == voices[other])
+    return [
+        AgreementSummary(one=one, other=other, questions=len(same), same=sum(same), share=sum(same) / len(same))
+        for (one, other), same in sorted(both.items())
+    ]
+
+
+def _voices(item: Record) -> Iterator[tuple[str, bool | None]]:
+    for opinion in item.opinions:
+        yield opinion.source, opinion.right
+    yield item.line.source, item.line.right
+
+
+def _teacher(name: str, items: Iterable[Record]) -> TeacherSummary:
+    lines = [item.line for item in items]
+    return TeacherSummary(
+        name=name,
+        answers=len(lines),
+        right=sum(line.right is True for line in lines),
+        wrong=sum(line.right is False for line in lines),
+        skipped=sum(line.right is None for line in lines),
+        better=sum(line.better is not None for line in lines),
+        median_seconds=median(line.seconds for line in lines),
+    )

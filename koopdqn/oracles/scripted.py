@@ -1,0 +1,98 @@
+"""Scripted oracles: the task's demonstrator answers, always right (§1), or wrong and silent by chance."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
+from koopdqn.pose import Array
+from koopdqn.settings import Fraction
+from koopdqn.tasks.actions import within_tolerance
+from koopdqn.tasks.task import Task, demonstrator_wishes
+
+if TYPE_CHECKING:
+    from koopdqn.tasks.workcell import Workcell
+
+
+class ScriptedOracleSettings(OracleSettings):
+    """Settings of the scripted oracle: none of its own."""
+
+    def open(self, workcell: "Workcell", seed: int, folder: Path) -> Oracle:
+        """Return the oracle that answers from the task's demonstrator; it has no chance and keeps nothing."""
+        return ScriptedOracle(workcell.task, self.name)
+
+
+@dataclass(frozen=True)
+class ScriptedOracle(Oracle):
+    """Says right if the reached pose is within tolerance of where the demonstrator would be.
+
+    Attributes:
+        task: whose demonstrator answers.
+        name: written to the journal as the source.
+    """
+
+    task: Task
+    name: str = "scripted"
+
+    def answer(self, question: Question) -> Answer:
+        """Return the demonstrator's answer."""
+        right = demonstrator_agrees(self.task, question.pose[None], question.reached[None], question.start[None])[0]
+        return Answer(bool(right), self.name)
+
+
+def demonstrator_agrees(task: Task, poses: Array, reached: Array, starts: Array | None = None) -> np.ndarray:
+    """Return whether the demonstrator finds each reached pose (N, 7) right from each pose (N, 7), as booleans (N,).
+
+    Args:
+        task: whose demonstrator.
+        poses: before the actions.
+        reached: after them.
+        starts: (N, 7) where the episodes began; None where poses are told as from the nominal start.
+    """
+    if starts is None:
+        return within_tolerance(reached, task.demonstrator.next_pose(poses), task)
+    return within_tolerance(reached, demonstrator_wishes(task, poses, starts), task)
+
+
+_STREAM = 4
+"""Keeps the oracle's chance apart from that of training, which is seeded alike."""
+
+
+class ImperfectOracleSettings(OracleSettings):
+    """Settings of a scripted oracle that errs or says nothing."""
+
+    wrong: Fraction = Field(description="share of the answers that are turned over")
+    silent: Fraction = Field(description="share of the questions that are skipped")
+
+    def open(self, workcell: "Workcell", seed: int, folder: Path) -> Oracle:
+        """Return the oracle; what it does with a question depends on the seed and the question's number alone."""
+        return ImperfectOracle(ScriptedOracle(workcell.task, self.name), self.wrong, self.silent, seed)
+
+
+@dataclass(frozen=True)
+class ImperfectOracle(Oracle):
+    """Passes on another oracle's answers, some turned over, some kept back.
+
+    Attributes:
+        expert: whose answers these are.
+        wrong: probability that a given answer is turned over.
+        silent: probability that a question is skipped.
+        seed: of the chance.
+    """
+
+    expert: Oracle
+    wrong: float
+    silent: float
+    seed: int
+
+    def answer(self, question: Question) -> Answer:
+        """Return the expert's answer, its opposite, or none."""
+        answer = self.expert.answer(question)
+        # A generator for each question: a run that goes on does not ask again what was answered.
+        errs, skips = np.random.default_rng([self.seed, _STREAM, question.number]).random(2)
+        if answer.right is None or skips < self.silent:
+            return replace(answer, right=None)
+        return replace(answer, right=answer.right != bool(errs < self.wrong))

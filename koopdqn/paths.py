@@ -1,0 +1,211 @@
+"""Paths: arc length, resampling, smooth paths in space, and the distances of Fréchet and Hausdorff."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from koopdqn import pose
+from koopdqn.pose import Array
+
+
+@dataclass(frozen=True)
+class SmoothPath:
+    """A curve sampled evenly in arc length.
+
+    Attributes:
+        points: positions (M, 3) [m], evenly spaced along the curve.
+        length: arc length of the whole curve [m].
+    """
+
+    points: Array
+    length: float
+
+    @classmethod
+    def through(cls, waypoints: ArrayLike, spacing: float = 5e-4) -> "SmoothPath":
+        """Return the centripetal cubic spline through waypoints (W, 3) [m], sampled every ``spacing`` [m].
+
+        The centripetal parameter (the root of the chord length) keeps the spline free of loops and cusps.
+        """
+        from scipy.interpolate import CubicSpline
+
+        waypoints = np.asarray(waypoints, dtype=float)
+        chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+        parameter = np.concatenate([[0.0], np.cumsum(np.sqrt(chords))])
+        fine = CubicSpline(parameter, waypoints)(np.linspace(0.0, parameter[-1], 40 * len(waypoints) * 20))
+        return cls.along(fine, spacing)
+
+    @classmethod
+    def along(cls, polyline: ArrayLike, spacing: float = 5e-4) -> "SmoothPath":
+        """Return the polyline (P, 3) [m] sampled anew, evenly in arc length, about every ``spacing`` [m]."""
+        polyline = np.asarray(polyline, dtype=float)
+        arc = arc_lengths(polyline)
+        count = max(2, int(np.ceil(arc[-1] / spacing)) + 1)
+        return cls(at_arc_lengths(polyline, arc, np.linspace(0.0, arc[-1], count)), float(arc[-1]))
+
+    @property
+    def spacing(self) -> float:
+        """Distance between neighbouring points [m]."""
+        return self.length / (len(self.points) - 1)
+
+    def nearest(self, positions: ArrayLike) -> np.ndarray:
+        """Return the arc length (N,) [m] of the path's point nearest to each position (N, 3) [m]."""
+        positions = np.asarray(positions, dtype=float)
+        # ‖p−c‖² without its constant ‖p‖²: a matrix product instead of an (N, M, 3) difference.
+        squared = (self.points**2).sum(axis=1) - 2.0 * positions @ self.points.T
+        return np.asarray(squared.argmin(axis=1) * self.spacing)
+
+    def at(self, arc: ArrayLike) -> Array:
+        """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""
+        index = np.rint(np.asarray(arc) / self.spacing).astype(int)
+        return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
+
+
+def arc_lengths(points: ArrayLike) -> Array:
+    """Return the arc length (N,) [m] of each point (N, 3) [m] of a polyline, from its start."""
+    steps = np.linalg.norm(np.diff(np.asarray(points, dtype=float), axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def at_arc_lengths(values: Array, arc: Array, wanted: Array) -> Array:
+    """Return rows of values (N, D), known at arc lengths (N,), interpolated at the wanted arc lengths (W,)."""
+    return np.stack([np.interp(wanted, arc, values[:, i]) for i in range(values.shape[1])], axis=1)
+
+
+def hausdorff(points: Array, others: Array) -> float:
+    """Return the Hausdorff distance of two sets of points (N, d) and (M, d): the farthest any is from the other set."""
+    from scipy.spatial.distance import directed_hausdorff
+
+    return float(max(directed_hausdorff(points, others)[0], directed_hausdorff(others, points)[0]))
+
+
+def to_step(trajectories: Sequence[Array], step: float, turn: float) -> list[Array]:
+    """Return trajectories of poses (M, 7) resampled so that neighbours are one agent's step apart.
+
+    A new sample is taken when position has moved ``step`` [m] or rotation ``turn`` [rad] since the
+    last, whichever is first, so that turning in place survives while idling and pauses vanish.
+    The last pose of each of the trajectories (N, 7) is always kept. All are walked along side by side.
+    """
+    kept = [[rows[0]] for rows in trajectories]
+    last = np.array([rows[0] for rows in trajectories])
+    previous = last.copy()
+    ends, place = np.array([len(rows) for rows in trajectories]), np.ones(len(trajectories), dtype=np.int64)
+    while (under_way := np.flatnonzero(place < ends)).size:
+        current = np.array([trajectories[i][place[i]] for i in under_way.tolist()])
+        moved = pose.position_distance(current, last[under_way])
+        turned = pose.rotation_distance(current, last[under_way])
+        beyond = np.maximum(moved / step, turned / turn) >= 1.0
+        # Several samples may fit between two recorded poses: where one is taken, the recorded pose stays the next.
+        taken, passed = under_way[beyond], under_way[~beyond]
+        previous[passed] = current[~beyond]
+        place[passed] += 1
+        if taken.size:
+            distances = moved[beyond], turned[beyond]
+            last[taken] = previous[taken] = _crossing(
+                previous[taken], current[beyond], last[taken], *distances, step, turn
+            )
+            for i in taken.tolist():
+                kept[i].append(last[i].copy())
+    for rows, samples in zip(trajectories, kept, strict=True):
+        # A stump much shorter than a step would teach the model to slow down at the end.
+        moved, turned = pose.position_distance(rows[-1], samples[-1]), pose.rotation_distance(rows[-1], samples[-1])
+        if max(moved / step, turned / turn) > 1e-6:
+            samples.append(rows[-1])
+    return [np.array(samples) for samples in kept]
+
+
+def _crossing(before: Array, after: Array, last: Array, moved: Array, turned: Array, step: float, turn: float) -> Array:
+    """Return the poses (N, 7) between two at which position first is a step, or rotation a turn, away from ``last``.
+
+    The poses ``after`` have ``moved`` (N,) [m] and ``turned`` (N,) [rad] from ``last``, one of them at least that far.
+    """
+    share = np.ones(len(before))
+    for row in np.flatnonzero(moved >= step):
+        offset, motion = (a[row, pose.POSITION] - b[row, pose.POSITION] for a, b in ((before, last), (after, before)))
+        share[row] = _sphere_crossing(offset, motion, step)
+    turning = np.flatnonzero(turned >= turn)
+    if turning.size:
+        low, high = np.zeros(len(turning)), np.ones(len(turning))
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            there = between(before[turning], after[turning], middle)
+            short = pose.rotation_distance(there, last[turning]) < turn
+            low, high = np.where(short, middle, low), np.where(short, high, middle)
+        share[turning] = np.minimum(share[turning], high)
+    return between(before, after, share)
+
+
+def _sphere_crossing(offset: Array, motion: Array, radius: float) -> float:
+    # The larger root of |offset + t motion|² = radius², as ``offset`` lies within the sphere.
+    a, b, c = float(motion @ motion), float(offset @ motion), float(offset @ offset) - radius**2
+    return float(np.clip((-b + np.sqrt(max(b * b - a * c, 0.0))) / a, 0.0, 1.0))
+
+
+def between(a: Array, b: Array, share: ArrayLike) -> Array:
+    """Return the poses (..., 7) a ``share`` (...) of the way from ``a`` (..., 7) to ``b`` (..., 7).
+
+    Straight in position, geodesic in rotation.
+    """
+    part = np.asarray(share, dtype=float)
+    position = a[..., pose.POSITION] + part[..., None] * (b[..., pose.POSITION] - a[..., pose.POSITION])
+    angle = part * pose.rotation_distance(a, b)
+    return pose.make(position, pose.turned_toward(a[..., pose.QUATERNION], b[..., pose.QUATERNION], angle))
+
+
+def mean_poses(trajectories: list[Array], count: int) -> Array:
+    """Return ``count`` poses (count, 7) along the mean of pose trajectories (N, 7), aligned by their share of path."""
+    aligned = np.array([to_count(rows, count) for rows in trajectories])
+    turns = aligned[..., pose.QUATERNION]
+    # q and −q are the same rotation.
+    turns = turns * np.where((turns * turns[0]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
+    return pose.make(aligned[..., pose.POSITION].mean(axis=0), pose.normalized(turns.mean(axis=0)))
+
+
+def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:
+    """Return ``count`` poses (count, 7) evenly spaced along the path (N, 7).
+
+    Where the path does not move at all, samples are spread evenly over the turn instead.
+
+    Args:
+        poses: the path.
+        count: how many.
+        arc: (N,) [m] the arc length of every pose, if it is not to be that of the positions themselves.
+    """
+    if arc is None:
+        arc = arc_lengths(poses[:, pose.POSITION])
+    if arc[-1] < 1e-9:
+        turns = pose.rotation_distance(poses[1:], poses[:-1])
+        arc = np.concatenate([[0.0], np.cumsum(turns)])
+    # Equal arc lengths (turning in place) need an order for the interpolation.
+    arc = arc + np.arange(len(arc)) * 1e-12
+    values = at_arc_lengths(poses, arc, np.linspace(0.0, arc[-1], count))
+    return pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION])
+
+
+def discrete_frechet(gap: Array) -> Array:
+    """Return the discrete Fréchet distances (E,) of curve pairs from the distances (E, N, M) between their points.
+
+    It is the least leash with which two walkers can go along the two rows of points, neither ever
+    going back (Eiter & Mannila 1994). The recursion c(i, j) = max(min(c(i−1, j), c(i−1, j−1), c(i, j−1)),
+    d(i, j)) is run along anti-diagonals, whose entries do not depend on one another.
+
+    Raises:
+        ValueError: a curve has no points, or the shape is another.
+    """
+    if gap.ndim != 3 or 0 in gap.shape[1:]:
+        raise ValueError(f"distances must have shape (E, N, M) with N, M >= 1, found {gap.shape}")
+    count, n, m = gap.shape
+    # Column i + 1 of a diagonal holds row i of the table; column 0 stands for the row before the first.
+    before = np.full((count, n + 1), np.inf)
+    last = before.copy()
+    for diagonal in range(n + m - 1):
+        rows = np.arange(max(0, diagonal - m + 1), min(n, diagonal + 1))
+        if diagonal:
+            # from (i−1, j), (i, j−1) on the last diagonal and (i−1, j−1) on the one before
+            least = np.minimum(np.minimum(last[:, rows], last[:, rows + 1]), before[:, rows])
+        else:
+            least = np.zeros((count, 1))
+        before, last = last, np.full((count, n + 1), np.inf)
+        last[:, rows + 1] = np.maximum(least, gap[:, rows, diagonal - rows])
+    return np.asarray(last[:, n])

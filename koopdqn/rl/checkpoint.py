@@ -1,0 +1,84 @@
+"""Checkpoints: everything a run needs to go on, in one file that appears whole or not at all."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from koopdqn.artifact import Artifact, read_artifact, write_artifact
+from koopdqn.errors import BadInputError
+from koopdqn.files import canonical_json
+from koopdqn.rl.algorithm1 import Trainer
+
+KIND = "checkpoint"
+# In a message: differences named, and characters of a value.
+_SHOWN = 4
+_LONGEST = 40
+_NONE = object()
+
+
+def checkpoint_path(folder: Path) -> Path:
+    """Return where a run folder keeps its latest checkpoint."""
+    return folder / "checkpoints" / "latest.safetensors"
+
+
+def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], seconds: float) -> None:
+    """Save a trainer's state.
+
+    Args:
+        folder: the run folder.
+        trainer: the run.
+        shaped_by: the config that decides what the run does; a run goes on only with the same.
+        seconds: how long the run has taken so far.
+    """
+    arrays, state = trainer.state()
+    about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}
+    write_artifact(checkpoint_path(folder), Artifact(KIND, arrays, about))
+
+
+def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
+    """Return a run folder's latest checkpoint, or None if it was stopped before the first.
+
+    Raises:
+        BadInputError: the checkpoint is damaged, or the run was shaped by another config.
+    """
+    path = checkpoint_path(folder)
+    if not path.exists():
+        return None
+    artifact = read_artifact(path, KIND)
+    other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
+    if other:
+        shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
+        raise BadInputError(
+            f"run {folder}: can only go on with the config it began with (train.stop, train.extend and the limits may"
+            f" change), found {shown}"
+        )
+    return artifact
+
+
+def questions_asked(checkpoint: Artifact) -> int:
+    """Return how many questions had reached the oracle when a run's checkpoint was saved."""
+    return int(checkpoint.arrays["feedback/questions"])
+
+
+def _differences(name: str, began: Any, now: Any) -> list[str]:
+    """Return what is different in two contents of JSON, by the dotted names of their keys and places."""
+    if isinstance(began, list) and isinstance(now, list) and len(began) == len(now):
+        began, now = dict(enumerate(began)), dict(enumerate(now))
+    if isinstance(began, dict) and isinstance(now, dict):
+        found = []
+        for key in dict.fromkeys([*began, *now]):
+            found += _differences(f"{name}.{key}" if name else str(key), began.get(key, _NONE), now.get(key, _NONE))
+        return found
+    # 1, 1.0 and true are equal in Python and different settings.
+    if _text(began) == _text(now):
+        return []
+    return [f"{name or 'config'} {_brief(now)} instead of {_brief(began)}"]
+
+
+def _text(value: Any) -> str:
+    return "nothing" if value is _NONE else canonical_json(value)
+
+
+def _brief(value: Any) -> str:
+    text = _text(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"

@@ -1,0 +1,195 @@
+"""Double DQN: updates from replayed transitions (Eqs. 1, 3; van Hasselt et al. 2016), with Adam (Kingma & Ba 2015)."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.optim.adam import adam
+
+from koopdqn.rl.network import QNetwork
+from koopdqn.rl.replay_buffer import Transitions
+from koopdqn.rl.settings import AgentSettings
+from koopdqn.tasks.actions import COUNT
+
+_BETA1: Final = 0.9
+_BETA2: Final = 0.999
+_EPSILON: Final = 1e-8
+
+
+class Adam:
+    """An optimiser of given parameters, with the usual decay rates of the moments."""
+
+    def __init__(self, parameters: Sequence[Tensor], learning_rate: float) -> None:
+        """Begin without moments."""
+        self._parameters = [parameter.detach() for parameter in parameters]
+        self._learning_rate = learning_rate
+        self._means = [torch.zeros_like(values) for values in self._parameters]
+        self._squares = [torch.zeros_like(values) for values in self._parameters]
+        self._steps = [torch.zeros(()) for _ in self._parameters]
+
+    def step(self, gradients: Sequence[Tensor]) -> None:
+        """Change the parameters by one step against their gradients."""
+        adam(
+            self._parameters,
+            list(gradients),
+            self._means,
+            self._squares,
+            [],
+            self._steps,
+            foreach=False,
+            amsgrad=False,
+            beta1=_BETA1,
+            beta2=_BETA2,
+            lr=self._learning_rate,
+            weight_decay=0.0,
+            eps=_EPSILON,
+            maximize=False,
+        )
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return a copy of the moments and the step count of every parameter, by its index."""
+        return {
+            f"{index}.{name}": values.numpy().copy()
+            for name, column in self._columns().items()
+            for index, values in enumerate(column)
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from what :meth:`state` returned."""
+        for name, column in self._columns().items():
+            for index, values in enumerate(column):
+                values.copy_(torch.from_numpy(state[f"{index}.{name}"]))
+
+    def _columns(self) -> dict[str, list[Tensor]]:
+        return {"exp_avg": self._means, "exp_avg_sq": self._squares, "step": self._steps}
+
+
+def q_targets(
+    rewards: Tensor,
+    stop: Tensor,
+    online_following: Tensor,
+    target_following: Tensor,
+    gamma: float,
+    double: bool,
+) -> Tensor:
+    """Return the targets (N,) that Q(s, a) is drawn to.
+
+    Double: r + γ Q'(s', argmax_a Q(s', a)). Otherwise Eq. 3 as written, with the target network Q':
+    r + γ max_a Q'(s', a). Where ``stop`` (N,) is true nothing follows and the target is r.
+
+    Args:
+        rewards: (N,).
+        stop: (N,) booleans: terminated, or undone and not bootstrapped. Truncated transitions do not stop.
+        online_following: Q(s', ·) (N, 10).
+        target_following: Q'(s', ·) (N, 10).
+        gamma: γ.
+        double: which of the two.
+    """
+    if double:
+        best = online_following.argmax(dim=1, keepdim=True)
+        value = target_following.gather(1, best).squeeze(1)
+    else:
+        value = target_following.max(dim=1).values
+    return rewards + gamma * torch.where(stop, 0.0, value)
+
+
+class Learner:
+    """The online network, its target and the optimiser.
+
+    Attributes:
+        online: the network that acts.
+        target: the network that evaluates.
+        updates: how many updates were made.
+    """
+
+    def __init__(self, inputs: int, settings: AgentSettings, rng: np.random.Generator) -> None:
+        """Make a learner for observations of ``inputs`` values, every weight drawn from ``rng``."""
+        self.settings = settings
+        self.online = QNetwork(inputs, settings.network, rng)
+        self.target = QNetwork(inputs, settings.network, rng)
+        self.target.load_state_dict(self.online.state_dict())
+        self.updates = 0
+        self._parameters: list[Tensor] = list(self.online.parameters())
+        self._target_parameters: list[Tensor] = list(self.target.parameters())
+        self._adam = Adam(self._parameters, settings.learning_rate)
+
+    def normalise_to(self, observations: np.ndarray) -> None:
+        """Take mean and spread of the inputs of both networks from observations (N, inputs)."""
+        self.online.normalise_to(observations)
+        self.target.normalise_to(observations)
+
+    def update(self, batch: Transitions) -> float:
+        """Make one update from a batch and return its loss (mean squared error).
+
+        Transitions of one state that follow one another in the batch share its pass through the network.
+        """
+        stop = batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone
+        # Most actions from a state are wrong and followed by nothing.
+        follows = np.flatnonzero(~stop)
+        online, target = torch.zeros(2, len(stop), COUNT)
+        with torch.no_grad():
+            # Features are not learned: both networks have the same.
+            features = self.online.features(torch.from_numpy(batch.following[follows]))
+            online[follows], target[follows] = self.online.of_features(features), self.target.of_features(features)
+            targets = q_targets(
+                torch.from_numpy(batch.rewards),
+                torch.from_numpy(stop),
+                online,
+                target,
+                self.settings.gamma,
+                self.settings.double,
+            )
+        states, state_of = _distinct(batch.observations)
+        values = self.online(torch.from_numpy(states))
+        loss = nn.functional.mse_loss(values[state_of, batch.actions], targets)
+        self._adam.step(torch.autograd.grad(loss, self._parameters))
+        self.updates += 1
+        if self.updates % self.settings.target_every == 0:
+            with torch.no_grad():
+                torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
+        return float(loss.detach())
+
+    def policy_arrays(self) -> dict[str, np.ndarray]:
+        """Return a copy of the parameters and buffers of the network whose argmax is the policy, the online one."""
+        return _arrays_of(self.online)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything the learner needs to go on, as arrays."""
+        state = {f"online.{name}": values for name, values in _arrays_of(self.online).items()}
+        state |= {f"target.{name}": values for name, values in _arrays_of(self.target).items()}
+        state |= {f"adam.{name}": values for name, values in self._adam.state().items()}
+        return {**state, "updates": np.array(self.updates)}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from what :meth:`state` returned."""
+        load_arrays(self.online, _below(state, "online."))
+        load_arrays(self.target, _below(state, "target."))
+        self._adam.restore(_below(state, "adam."))
+        self.updates = int(state["updates"])
+
+
+def _distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
+    """Return observations (N, inputs) with each run of equal ones as one (B, inputs), and which each is (N,)."""
+    new = np.ones(len(observations), dtype=bool)
+    new[1:] = (observations[1:] != observations[:-1]).any(axis=1)
+    return observations[new], np.cumsum(new) - 1
+
+
+def load_arrays(network: QNetwork, arrays: dict[str, np.ndarray]) -> None:
+    """Set a network's parameters and buffers.
+
+    Raises:
+        RuntimeError: names or shapes do not fit the network.
+    """
+    network.load_state_dict({name: torch.from_numpy(values.copy()) for name, values in arrays.items()})
+
+
+def _arrays_of(network: QNetwork) -> dict[str, np.ndarray]:
+    return {name: values.detach().numpy().copy() for name, values in network.state_dict().items()}
+
+
+def _below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): values for name, values in state.items() if name.startswith(prefix)}

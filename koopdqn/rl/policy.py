@@ -1,0 +1,70 @@
+"""The learned policy: the argmax of a Q-network on the observation alone."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koopdqn.artifact import Artifact, check_task, described, read_artifact, write_artifact
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.rl.dqn import load_arrays
+from koopdqn.rl.network import QNetwork, observe, size
+from koopdqn.rl.settings import NetworkSettings
+from koopdqn.settings import validate
+from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.task import Task
+
+KIND = "policy"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy for a task.
+
+    Attributes:
+        network: the Q-network.
+        task: gives the goal that observations refer to.
+        frame: in which poses are observed.
+    """
+
+    network: QNetwork
+    task: Task
+    frame: StartFrame = STILL
+
+    def __call__(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return the actions (N,) of greatest value from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        return np.asarray(self.values(poses, starts).argmax(axis=1))
+
+    def values(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return Q (N, 10) at poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        return self.network.values(observe(self.frame.placed(poses, starts), self.task))
+
+
+def write_policy(
+    path: Path, arrays: dict[str, np.ndarray], network: NetworkSettings, frame: StartFrame, about: dict[str, Any]
+) -> None:
+    """Write a network's arrays with what rebuilds the policy and ``about``: what it was made with and from."""
+    write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network), "frame": frame.described()}))
+
+
+def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
+    """Read a policy for a task and what it says about itself.
+
+    Raises:
+        BadInputError: the file is missing, damaged, of another task, or does not fit its own settings.
+    """
+    artifact = read_artifact(path, KIND)
+    about = dict(artifact.about)
+    check_task(f"policy {path}", about.get("task"), task)
+    node = {key: value for key, value in about["network"].items() if key != "target"}
+    settings = validate(node, NetworkSettings, "policy.network")
+    network = QNetwork(size(task), settings, np.random.default_rng(0))
+    try:
+        load_arrays(network, artifact.arrays)
+    except RuntimeError as error:
+        # torch lists every array on a line of its own.
+        found = " ".join(str(error).split())
+        raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {found}") from error
+    return Policy(network, task, StartFrame.restore(about.get("frame", STILL.described()))), about

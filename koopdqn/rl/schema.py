@@ -1,0 +1,83 @@
+"""The content of ``train.json``: every key with its unit."""
+
+from pydantic import Field
+
+from koopdqn.schema import ReportModel, Sha256
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
+
+
+class CheckReport(ReportModel):
+    """One check of the argmax policy on held-out starts."""
+
+    updates: Count = Field(description="updates of the network so far")
+    env_steps: Count = Field(description="actions tried so far")
+    episodes: NonNegativeInt = Field(description="episodes finished so far")
+    success_rate: Fraction = Field(description="share of the starts from which the policy succeeds")
+    failures: dict[str, Count] = Field(description="failed starts by cause; a cause that did not occur is absent")
+
+
+class RewardAgreement(ReportModel):
+    """Share of the rewards whose sign the task's demonstrator gives too; null where no such reward was given."""
+
+    trusted: Fraction | None = Field(description="of the intent model's rewards where demonstrations vouch for it")
+    certified: Fraction | None = Field(
+        description="of its rewards where only an answer nearby vouches for it: what a yes certifies"
+    )
+    remembered: Fraction | None = Field(description="of the rewards from remembered answers")
+    asked: Fraction | None = Field(description="of the rewards from asking")
+
+
+class RewardsGiven(ReportModel):
+    """Rewards by source; what the rules alone decide is not among them."""
+
+    trusted: NonNegativeInt = Field(description="from the intent model where demonstrations vouch for it")
+    certified: NonNegativeInt = Field(description="from the intent model where only an answer nearby vouches for it")
+    remembered: NonNegativeInt = Field(description="from remembered answers")
+    asked: NonNegativeInt = Field(description="from asking")
+
+
+class MadeFrom(ReportModel):
+    """What the policy was made from."""
+
+    demonstrations: Sha256 = Field(description="SHA-256 of the demonstrations' content")
+    intent: Sha256 = Field(description="SHA-256 of the intent's arrays")
+
+
+class TrainReport(ReportModel):
+    """The content of ``train.json``. E finished episodes, short exploring ones included."""
+
+    task: Name = Field(description="name of the task")
+    seed: NonNegativeInt = Field(description="of the run")
+    agent: Name = Field(description="name of the agent's config option")
+    intent: Name = Field(description="name of the intent's config option")
+    learned: bool = Field(description="whether train.checks_to_learn checks in a row were passed")
+    learned_at_env_steps: NonNegativeInt | None = Field(description="actions tried by then; null if not learned")
+    seconds: NonNegative = Field(description="time the run took, all its parts together [s]")
+    episodes: NonNegativeInt = Field(description="number E of finished episodes")
+    env_steps: NonNegativeInt = Field(description="actions tried: transitions stored, undone ones included")
+    updates: NonNegativeInt = Field(description="updates of the network")
+    oracle_queries: NonNegativeInt = Field(description="questions that reached the oracle")
+    budget_spent: bool = Field(description="whether `oracle.budget` questions were asked")
+    answered_instead: NonNegativeInt = Field(
+        description="questions that the scripted oracle answered after that (`oracle.when_spent=scripted`)"
+    )
+    contradictions: NonNegativeInt = Field(
+        description="how often remembered answers left no action that could be right, and were forgotten"
+    )
+    rewards_recomputed: NonNegativeInt = Field(
+        description="rewards in the replay buffer recomputed because an answer changed the intent model"
+    )
+    trusted_fraction: Fraction | None = Field(
+        description="share of rewards_given that came from the intent model, trusted or certified; null if none did"
+    )
+    reward_agreement: RewardAgreement = Field(description="agreement with the demonstrator by source")
+    rewards_given: RewardsGiven = Field(description="number of rewards by source")
+    reward_per_episode: list[float] = Field(description="(E,) sum of the rewards of the chosen actions")
+    steps_per_episode: list[NonNegativeInt] = Field(description="(E,) steps kept")
+    exploring_episode: list[bool] = Field(description="(E,) whether it was a short exploring one")
+    best_success_rate: Fraction = Field(description="success rate of the best check; 0 before the first")
+    best_update: NonNegativeInt = Field(description="updates at that check, whose network the policy is")
+    step_limit: Count = Field(description="steps after which an episode is cut")
+    checks: list[CheckReport] = Field(description="(C,) every check, in order")
+    threads: Count = Field(description="torch's threads")
+    made_from: MadeFrom = Field(description="what the policy was made from")

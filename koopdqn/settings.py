@@ -1,0 +1,320 @@
+"""Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
+
+import importlib
+import typing
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, TypeVar
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from koopdqn.errors import BadInputError
+
+_OWN_CHECK = ("value_error", "assertion_error")
+_WORDS = (
+    ("Input should be a valid tuple", "must be a list"),
+    ("Input should be a valid list", "must be a list"),
+    ("Input should be a valid boolean", "must be true or false"),
+    ("Input should be a valid integer", "must be a whole number"),
+    ("Input should be a valid string", "must be a text"),
+    ("Input should be a valid ", "must be a "),
+    ("Input should be an instance of Path", "must be a path"),
+    ("Input should ", "must "),
+    ("String should ", "must "),
+    ("Tuple should ", "must "),
+    ("List should ", "must "),
+)
+"""How the phrases of pydantic's messages read here."""
+
+
+def describe(error: ValidationError, content: Mapping[str, Any], model: type[BaseModel], where: str) -> str:
+    """Return one line that names the first thing wrong and counts the others.
+
+    Args:
+        error: what building ``model`` from ``content`` raised.
+        content: the config that was refused.
+        model: the settings class.
+        where: dotted key of ``content``; "" for the root of the config.
+    """
+    errors = error.errors(include_url=False)
+    # an unknown key is often a misspelling of one then reported missing, so it is the better line
+    errors.sort(key=lambda e: e["type"] != "extra_forbidden")
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    return _line(errors[0], content, model, where) + more
+
+
+def _line(error: ErrorDetails, content: Mapping[str, Any], model: type[BaseModel], where: str) -> str:
+    location, rest = _within(error["loc"], content)
+    if error["type"] == "extra_forbidden":
+        owner = _model_at(model, location[:-1])
+        valid = ", ".join(sorted(owner.model_fields)) if owner else "none"
+        return f"unknown key {_dotted(where, location)}; valid: {valid}"
+    if error["type"] == "missing":
+        return f"{_dotted(where, [*location, *rest[-1:]])}: must be given, found nothing"
+    key = _dotted(where, location) or "the config"
+    message = error["msg"]
+    if error["type"] in ("model_type", "model_attributes_type", "dict_type"):
+        message = "must be a group of keys"
+    elif error["type"] in _OWN_CHECK:
+        message = message.partition(", ")[2] or message
+    message = _in_house_words(message)
+    # a model's own check sees all its fields at once and says itself what it found
+    if error["type"] in _OWN_CHECK and ("found" in message or isinstance(error["input"], Mapping)):
+        return f"{key}: {message}"
+    return f"{key}: {message}, found {shown(error['input'])}"
+
+
+def _in_house_words(message: str) -> str:
+    for before, after in _WORDS:
+        message = message.replace(before, after)
+    return " ".join(message.partition(" after validation")[0].split())
+
+
+def _within(location: Sequence[int | str], content: object) -> tuple[list[int | str], list[int | str]]:
+    """Split an error's location into what exists in the config and pydantic's own additions."""
+    inside: list[int | str] = []
+    rest: list[int | str] = []
+    for part in location:
+        holder = dict(enumerate(content)) if isinstance(content, list | tuple) else content
+        if isinstance(holder, Mapping) and part in holder:
+            content = holder[part]
+            inside.append(part)
+        else:
+            rest.append(part)
+    return inside, rest
+
+
+def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
+    found: type[BaseModel] | None = model
+    for part in location:
+        if isinstance(part, int):
+            continue
+        field = found.model_fields.get(part) if found else None
+        found = _model_in(field.annotation) if field else None
+    return found
+
+
+def _model_in(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for argument in typing.get_args(annotation):
+        found = _model_in(argument)
+        if found:
+            return found
+    return None
+
+
+def _dotted(where: str, location: Sequence[int | str]) -> str:
+    text = where
+    for part in location:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            name = part if part.isprintable() else repr(part)
+            text = f"{text}.{name}" if text else name
+    return text
+
+
+def shown(value: object) -> str:
+    """Return a value as error messages show it: its repr on one line, cut at 80 characters."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+T = TypeVar("T")
+Model = TypeVar("Model", bound=BaseModel)
+
+TARGET = "target"
+
+
+class Settings(BaseModel):
+    """Base of every settings class: immutable, no unknown keys, no coercion, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
+
+
+def _listed(rule: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
+    """Return a validator that turns a YAML list into a tuple of that length."""
+
+    def to_tuple(value: object) -> tuple[Any, ...]:
+        if not isinstance(value, list | tuple) or (length is not None and len(value) != length):
+            raise ValueError(f"must be {rule}")
+        return tuple(value)
+
+    return to_tuple
+
+
+def _to_path(value: object) -> object:
+    if isinstance(value, str):
+        if not value.strip():
+            raise ValueError("must be a path")
+        return Path(value)
+    return value
+
+
+def _to_sources(value: object) -> object:
+    values = value if isinstance(value, list | tuple) else [value]
+    if not values or not all(isinstance(each, str) and each.strip() for each in values):
+        raise ValueError("must be a path or a glob, or a list of them in brackets")
+    return tuple(values)
+
+
+Positive = Annotated[float, Field(gt=0)]
+"""A finite number above 0."""
+NonNegative = Annotated[float, Field(ge=0)]
+"""A finite number, 0 or above."""
+Fraction = Annotated[float, Field(ge=0, le=1)]
+"""A number from 0 to 1, both included."""
+Count = Annotated[int, Field(ge=1)]
+"""A whole number, 1 or above."""
+NonNegativeInt = Annotated[int, Field(ge=0)]
+"""A whole number, 0 or above."""
+Name = Annotated[str, Field(min_length=1)]
+"""A text that is not empty."""
+PathText = Annotated[Path, BeforeValidator(_to_path)]
+"""A path, written as a text that is not empty; it need not exist."""
+Sources = Annotated[tuple[str, ...], BeforeValidator(_to_sources)]
+"""Paths or globs, one as a text or several as a YAML list; they need not match anything."""
+Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 numbers", 2))]
+"""Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
+Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
+"""Three numbers, as a YAML list."""
+Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("a list of 4 numbers", 4))]
+"""Four numbers, as a YAML list."""
+Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("a list of 6 numbers", 6))]
+"""Six numbers, as a YAML list."""
+Vector7 = Annotated[
+    tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("a list of 7 numbers", 7))
+]
+"""Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
+Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("a list of numbers"))]
+"""Any number of numbers, as a YAML list."""
+Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("a list of whole numbers"))]
+"""Any number of whole numbers above 0, as a YAML list (layer widths)."""
+Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("a list of texts"))]
+"""Any number of texts, as a YAML list."""
+
+
+def plain(node: Mapping[Any, Any] | None, where: str = "") -> dict[str, Any]:
+    """Return a config node as plain dicts, lists and scalars, with its ``${…}`` resolved.
+
+    Args:
+        node: an OmegaConf node, or any mapping.
+        where: dotted key of the node, for messages; "" for the root.
+
+    Raises:
+        BadInputError: the node is no mapping, a ``???`` is left open, or an interpolation fails.
+    """
+    from omegaconf import DictConfig, MissingMandatoryValue, OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    if isinstance(node, DictConfig):
+        try:
+            content = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+        except MissingMandatoryValue as error:
+            raise BadInputError(f"{error.full_key}: must be given, found ??? (nothing)") from error
+        except OmegaConfBaseException as error:
+            raise BadInputError(f"{error.full_key or where}: {_first_line(error)}") from error
+    else:
+        content = node
+    if not isinstance(content, Mapping):
+        raise BadInputError(f"{where or 'the config'}: must be a group of keys, found {shown(content)}")
+    return {str(key): value for key, value in content.items()}
+
+
+def validate(node: Mapping[Any, Any] | None, model: type[Model], where: str = "") -> Model:
+    """Return ``model`` built from a config node.
+
+    Args:
+        node: an OmegaConf node, or any mapping.
+        model: the settings class.
+        where: dotted key of the node, for messages; "" for the root.
+
+    Raises:
+        BadInputError: in one line, the dotted key, the rule and the value found; an unknown key lists
+            the valid ones. Of several errors the first is told and the others are counted.
+    """
+    content = plain(node, where)
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise BadInputError(describe(error, content, model, where)) from error
+
+
+def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> T:
+    """Return the object that a group's node describes.
+
+    The node's ``target`` names a settings class that implements ``base`` (``"some.module.Class"``,
+    also from a user's own package); the node's other keys are that class's fields.
+
+    Args:
+        node: an OmegaConf node, or any mapping.
+        base: a class, or a ``runtime_checkable`` protocol.
+        where: dotted key of the node, for messages.
+
+    Raises:
+        BadInputError: the target is absent, cannot be imported or does not implement ``base``, or the
+            other keys break a rule (see `validate`).
+    """
+    content = plain(node, where)
+    if TARGET not in content:
+        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing")
+    cls = _locate(content.pop(TARGET), where)
+    found = f"found {_full_name(cls)}"
+    try:
+        implements = issubclass(cls, base)
+    except TypeError:
+        implements = True  # a protocol with data members is only decided on an instance, below
+    if not implements:
+        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+    if not issubclass(cls, BaseModel):
+        raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
+    settings = validate(content, cls, where)
+    if not isinstance(settings, base):
+        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+    return settings
+
+
+# Where classes were that runs of earlier commits name: they can still be evaluated.
+_MOVED: Final = {
+    "koopdqn.dqn.settings": "koopdqn.rl.settings",
+    "koopdqn.feedback.file": "koopdqn.oracles.file",
+    "koopdqn.feedback.imperfect": "koopdqn.oracles.scripted",
+    "koopdqn.feedback.replay": "koopdqn.oracles.replay",
+    "koopdqn.feedback.scripted": "koopdqn.oracles.scripted",
+    "koopdqn.feedback.terminal.settings": "koopdqn.oracles.terminal.settings",
+    "koopdqn.intent.joint": "koopdqn.intent.separate",
+    "koopdqn.intent.line": "koopdqn.intent.separate",
+}
+
+
+def _locate(target: object, where: str) -> type[Any]:
+    key = f"{where}.{TARGET}"
+    if not isinstance(target, str) or "." not in target.strip("."):
+        raise BadInputError(f"{key}: must be a dotted name such as some.module.Class, found {shown(target)}")
+    module_name, _, class_name = target.rpartition(".")
+    module_name = _MOVED.get(module_name, module_name)
+    try:
+        module = importlib.import_module(module_name)
+    # a user's own module may raise anything while it is imported
+    except Exception as error:
+        reason = f"{type(error).__name__}: {_first_line(error)}"
+        hint = "; the folder it lies in must be on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
+        text = f"{key}: must name a class that can be imported, found {target!r} ({reason}){hint}"
+        raise BadInputError(text) from error
+    found = getattr(module, class_name, None)
+    if not isinstance(found, type):
+        own = {n: v for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__}
+        classes = sorted(name for name in own if not name.startswith("_"))
+        raise BadInputError(f"{key}: {module_name} has no class {class_name!r}; valid: {', '.join(classes) or 'none'}")
+    return found
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__
+
+
+def _full_name(cls: type) -> str:
+    return f"{cls.__module__}.{cls.__qualname__}"

@@ -1,0 +1,84 @@
+"""Table 1: the ten actions, the poses they reach, and how these compare with a prediction (Eqs. 15, 16)."""
+
+from typing import Final
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.pose import Array
+from koopdqn.tasks.step import IN_PLACE
+from koopdqn.tasks.task import Task
+
+ACTIONS: Final = (
+    "moves uniformly in position and rotation toward the goal",
+    "moves only in position toward the goal",
+    "moves only in rotation toward the goal",
+    "moves in position and more in rotation toward the goal",
+    "moves along +x",
+    "moves along -x",
+    "moves along +y",
+    "moves along -y",
+    "moves along +z",
+    "moves along -z",
+)
+"""The actions in Table 1's order and words; an action's index counts from 0, the paper's numbers from 1."""
+
+COUNT: Final = len(ACTIONS)
+ROTATING: Final = (0, 2, 3)
+"""Indices of the actions that change orientation."""
+
+# Rotation of one action in rotation tolerances (design, row 9): together with the actions that do not
+# turn they match every demonstrated rate from 0 to 5 tolerances a step.
+_TURN: Final = {0: IN_PLACE, 2: IN_PLACE, 3: 2.0 * IN_PLACE}
+_TO_GOAL: Final = (0, 1, 3)
+_FIRST_AXIS: Final = 4
+
+
+def reached_poses(poses: Array, task: Task) -> Array:
+    """Return the poses (N, 10, 7) that each action reaches from poses (N, 7), whether or not an arm can.
+
+    Motion toward the goal is straight in position and along the geodesic in rotation, both clamped at the goal.
+    """
+    reached = np.repeat(poses[:, None], COUNT, axis=1)
+    position, quaternion = poses[:, pose.POSITION], poses[:, pose.QUATERNION]
+    toward = pose.moved_toward(position, task.goal[pose.POSITION], np.full(len(poses), task.step_m))
+    for action in _TO_GOAL:
+        reached[:, action, pose.POSITION] = toward
+    turned_away = np.any(pose.rotation_distance(poses, task.goal) > 0)
+    if turned_away:
+        angles = np.array(list(_TURN.values()))[:, None] * task.rotation_tolerance_rad
+        turned = pose.turned_toward(quaternion, task.goal[pose.QUATERNION], angles)
+        reached[:, list(_TURN), pose.QUATERNION] = turned.swapaxes(0, 1)
+    for axis in range(3):
+        reached[:, _FIRST_AXIS + 2 * axis, axis] += task.step_m
+        reached[:, _FIRST_AXIS + 2 * axis + 1, axis] -= task.step_m
+    return reached
+
+
+def legal_actions(task: Task) -> np.ndarray:
+    """Return which actions (10,) the task allows: with orientation held, those named for rotation are wrong (§5.1)."""
+    legal = np.ones(COUNT, dtype=bool)
+    if task.orientation == "held":
+        legal[list(ROTATING)] = False
+    return legal
+
+
+def excess(reached: Array, wished: Array, task: Task) -> Array:
+    """Return the larger of the two distances (...), each in units of its tolerance: metres and radians stay apart."""
+    position = pose.position_distance(reached, wished) / task.position_tolerance_m
+    rotation = pose.rotation_distance(reached, wished) / task.rotation_tolerance_rad
+    return np.maximum(position, rotation)
+
+
+def within_tolerance(reached: Array, wished: Array, task: Task) -> np.ndarray:
+    """Return whether both distances are within their tolerances, as booleans (...)."""
+    return np.asarray(excess(reached, wished, task) <= 1.0)
+
+
+def nearest_actions(poses: Array, wished: Array, task: Task) -> np.ndarray:
+    """Return the legal actions (N,) that lead from poses (N, 7) nearest to wished poses (N, 7).
+
+    Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
+    """
+    far = excess(reached_poses(poses, task), wished[:, None], task)
+    return np.asarray(np.where(legal_actions(task), far, np.inf).argmin(axis=1))

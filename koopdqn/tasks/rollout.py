@@ -1,0 +1,101 @@
+"""Letting a controller move the arm from given starts until each episode ends, with nothing undone."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.pose import Array
+from koopdqn.tasks.actions import reached_poses
+from koopdqn.tasks.reachability import REASONS, Reachability
+from koopdqn.tasks.task import Task
+
+SUCCESS: Final = "success"
+STEP_LIMIT: Final = "step_limit"
+STUCK: Final = "stuck"
+RULE_BROKEN: Final = "rule_broken"
+FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
+"""Causes by which an episode can fail."""
+
+Controller = Callable[[Array, Array], np.ndarray]
+"""Chooses the actions (N,) from poses (N, 7) of episodes that began at starts (N, 7)."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One finished episode.
+
+    Attributes:
+        poses: (T + 1, 7) poses passed, the start first.
+        joints: (T + 1, 6) joint angles [rad].
+        outcome: :data:`SUCCESS` or one of :data:`FAILURES`.
+        detail: more about a failure, for people.
+    """
+
+    poses: Array
+    joints: Array
+    outcome: str
+    detail: str = ""
+
+    @property
+    def steps(self) -> int:
+        """Number of steps made."""
+        return len(self.poses) - 1
+
+
+def roll_out(
+    controller: Controller, task: Task, reachability: Reachability, starts: Array, joints: Array, limit: int
+) -> list[Episode]:
+    """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
+
+    An action that the arm cannot take ends its episode as a failure. So does one that leaves the pose
+    unchanged: a controller without memory would choose it for ever.
+    """
+    runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
+    for _ in range(limit):
+        active = [i for i, run in enumerate(runs) if not run.outcome]
+        if not active:
+            break
+        poses = np.array([runs[i].poses[-1] for i in active])
+        actions = controller(poses, starts[active])
+        reached = reached_poses(poses, task)[np.arange(len(active)), actions]
+        _advance([runs[i] for i in active], reached, task, reachability)
+    return [run.finished() for run in runs]
+
+
+def follow(paths: list[Array], task: Task, reachability: Reachability, joints: Array) -> list[Episode]:
+    """Return the episodes of following given paths (T, 7), each begun with its joints (6,), to end or failure."""
+    runs = [_Run([path[0]], [angles]) for path, angles in zip(paths, joints, strict=True)]
+    for t in range(1, max(map(len, paths), default=0)):
+        active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
+        if active:
+            _advance([runs[i] for i in active], np.array([paths[i][t] for i in active]), task, reachability)
+    return [run.finished() for run in runs]
+
+
+@dataclass
+class _Run:
+    poses: list[Array]
+    joints: list[Array]
+    outcome: str = ""
+    detail: str = ""
+
+    def finished(self) -> Episode:
+        return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail)
+
+
+def _advance(runs: list[_Run], reached: Array, task: Task, reachability: Reachability) -> None:
+    """Take runs one step on, each to its pose of those reached (N, 7), and end those that this ends."""
+    motions = reachability.move_batch(reached, np.array([run.joints[-1] for run in runs]))
+    before = np.array([run.poses[-1] for run in runs])
+    stuck = (pose.position_distance(reached, before) == 0) & (pose.rotation_distance(reached, before) == 0)
+    ends = np.select([task.rule_broken(reached), task.reached(reached), stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
+    for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):
+        if motion.joints is None:
+            run.outcome, run.detail = motion.reason, motion.detail
+            continue
+        run.poses.append(target)
+        run.joints.append(motion.joints)
+        run.outcome = end

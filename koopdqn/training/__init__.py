@@ -1,1 +1,0 @@
-"""Training: the reward, the episodes and the learner brought together, checked, saved and continued."""
