@@ -77,7 +77,12 @@ VARIANTS: Final = (
     Variant("position-features", (14,), ("agent.network.length_scale_rad=100.0",)),
     Variant("paper-network", (14,), ("agent.network.fourier_features=0", "agent.network.hidden=[1024,1024]")),
     Variant("transitions", (15,), ("agent.drawn=transitions", "agent.batch=1000")),
-    Variant("copied-target", (16,), ("agent.target_rate=1.0", "agent.target_every=500")),
+    Variant("online", (16,), ("agent.policy_network=online",)),
+    Variant(
+        "copied-target",
+        (16,),
+        ("agent.policy_network=online", "agent.target_rate=1.0", "agent.target_every=500"),
+    ),
     Variant("gamma-0.9", (17,), ("agent.gamma=0.9",)),
     Variant("learning-rate", (17,), ("agent.learning_rate=0.0001",)),
     Variant("epsilon", (17,), ("agent.epsilon_start=1.0", "agent.epsilon_end=0.05", "agent.epsilon_steps=50000")),

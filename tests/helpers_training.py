@@ -29,7 +29,7 @@ _AGENT = {
     "exploring_steps": 8,
     "epsilon_steps": 1000,
 }
-_TRAIN = {"check_every": 10, "max_steps": 500, "max_episodes": 200, "stop": "limit", "check_success": 1.0}
+_TRAIN = {"gain": 1.0, "check_every": 10, "max_steps": 500, "max_episodes": 200, "stop": "limit", "check_success": 1.0}
 
 
 def small_trainer(

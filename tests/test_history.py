@@ -7,7 +7,7 @@ from koopdqn.rl.history import Check, History
 
 
 def some_history() -> History:
-    history = History([1.5, -2.0], [3, 4], [True, False], [0.25], [Check(250, 1000, 9, 0.5, {"collision": 10})])
+    history = History([1.5, -2.0], [3, 4], [True, False], [0.25], [Check(250, 1000, 9, 0.5, 3.5, {"collision": 10})])
     history.judged[[RULE, TRUSTED, ASKED, REMEMBERED]] = [7, 8, 4, 5]
     history.agreed[[RULE, TRUSTED, ASKED, REMEMBERED]] = [0, 6, 4, 2]
     return history
@@ -17,7 +17,7 @@ def test_it_comes_back_through_json_and_goes_on() -> None:
     restored = History.restored(json.loads(json.dumps(some_history().state())))
     assert restored.state() == some_history().state()
     restored.judged[ASKED] += 1
-    assert restored.checks[0] == Check(250, 1000, 9, 0.5, {"collision": 10})
+    assert restored.checks[0] == Check(250, 1000, 9, 0.5, 3.5, {"collision": 10})
     assert restored.judged.dtype == some_history().judged.dtype
 
 

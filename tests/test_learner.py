@@ -221,8 +221,9 @@ def test_a_learner_can_be_restored_before_its_first_update(agent: AgentSettings)
     assert new.update(batch(0)) == old.update(batch(0))
 
 
-def test_the_policys_arrays_are_a_copy_of_the_online_network(agent: AgentSettings) -> None:
-    made = learner(agent)
+@pytest.mark.parametrize("which", ["online", "target"])
+def test_the_policys_arrays_are_a_copy_of_the_network_that_is_the_policy(agent: AgentSettings, which: str) -> None:
+    made = learner(agent.model_copy(update={"policy_network": which}))
     arrays = made.policy_arrays()
     before = {name: values.copy() for name, values in arrays.items()}
     made.update(batch(0))
@@ -230,9 +231,9 @@ def test_the_policys_arrays_are_a_copy_of_the_online_network(agent: AgentSetting
         np.testing.assert_array_equal(arrays[name], values)
     twin = QNetwork(5, agent.network, np.random.default_rng(8))
     load_arrays(twin, made.policy_arrays())
-    observations = batch(1).observations
-    np.testing.assert_array_equal(twin.values(observations), made.online.values(observations))
-    assert np.abs(twin.values(observations) - made.target.values(observations)).max() > 1e-4
+    wanted, other = (made.online, made.target) if which == "online" else (made.target, made.online)
+    np.testing.assert_array_equal(twin.values(batch(1).observations), wanted.values(batch(1).observations))
+    assert np.abs(twin.values(batch(1).observations) - other.values(batch(1).observations)).max() > 1e-4
 
 
 def test_arrays_of_another_shape_are_refused(agent: AgentSettings) -> None:

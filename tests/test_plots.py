@@ -59,7 +59,7 @@ def paths(demonstrations: "Demonstrations") -> "list[Array]":
 def history() -> History:
     rng = np.random.default_rng(0)
     count = 80
-    checks = [Check(250 * i, 9000 * i, 20 * i, min(0.3 * i, 1.0), {}) for i in range(1, 5)]
+    checks = [Check(250 * i, 9000 * i, 20 * i, min(0.3 * i, 1.0), 9.0 / i, {}) for i in range(1, 5)]
     return History(
         rewards=rng.normal(20, 5, count).tolist(),
         lengths=[100] * count,

@@ -6,6 +6,7 @@ from helpers_shelf import held_out, shelf, taught
 
 from koopdqn import pose
 from koopdqn.evaluation.baselines import Greedy, straight_path
+from koopdqn.pose import Array
 from koopdqn.tasks.actions import ACTIONS, reached_poses
 from koopdqn.tasks.reachability import COLLISION, JUMP, UNREACHABLE
 from koopdqn.tasks.rollout import (
@@ -82,6 +83,28 @@ def test_a_jump_is_a_failure_by_its_own_cause_and_the_arm_stays(jump: float, cau
 def test_the_step_limit_bounds_every_episode(limit: int) -> None:
     for episode in rolled(greedy(), limit=limit):
         assert (episode.outcome, episode.steps) == (STEP_LIMIT, limit)
+
+
+def test_going_round_in_circles_is_cut_where_it_closes_and_nothing_else_is() -> None:
+    cell = shelf()
+    starts, joints = held_out(2)
+    ways = {0.0: 4, 1.0: 6, 2.0: 5, 3.0: 7}  # +x, +y, -x, -y
+
+    def square(poses: Array, begun: Array) -> np.ndarray:
+        x, y = np.round((poses - begun)[:, :2] / cell.task.step_m).T
+        corner = np.select([(x == 0) & (y == 0), (x == 1) & (y == 0), (x == 1) & (y == 1)], [0.0, 1.0, 2.0], 3.0)
+        return np.array([ways[each] for each in corner])
+
+    for episode in roll_out(square, cell.task, cell.reachability, starts, joints, 50, cut_circles=True):
+        assert (episode.outcome, episode.steps) == (STEP_LIMIT, 5)
+        np.testing.assert_allclose(episode.poses[5], episode.poses[1], atol=1e-12)
+    for whole, cut in zip(
+        rolled(greedy()),
+        roll_out(greedy(), cell.task, cell.reachability, starts, joints, 700, cut_circles=True),
+        strict=True,
+    ):
+        assert cut.outcome == whole.outcome == SUCCESS
+        np.testing.assert_array_equal(cut.poses, whole.poses)
 
 
 def test_episodes_do_not_depend_on_which_others_run_beside_them() -> None:

@@ -177,6 +177,22 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
         np.testing.assert_array_equal(values, policies[-1][name])
 
 
+def test_learned_is_when_the_way_stops_coming_nearer_to_the_intents_own(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = [(1.0, 9.0), (1.0, 8.5), (1.0, 8.0), (1.0, 7.5), (0.9, 7.0), (1.0, 6.0), (1.0, 5.9), (1.0, 6.4)]
+    rest = iter(found)
+    monkeypatch.setattr("koopdqn.rl.history.Checker.measure", lambda *_: (*next(rest), {}))
+    trainer = make(
+        train={"gain": 0.1, "check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "max_steps": 10**6}
+    )
+    trainer.run()
+    assert [(check.success_rate, check.intent_distance) for check in trainer.history.checks] == found
+    # 8.0 is nearer than 9.0 by more than a tenth, and 0.9 is too seldom: both begin the count anew.
+    assert trainer.learned_at == trainer.history.checks[-1].env_steps
+    assert trainer.best_update == trainer.history.checks[6].updates
+
+
 def test_the_step_limit_is_a_multiple_of_the_longest_demonstration(make: Make) -> None:
     assert make(train={"step_limit_factor": 4.0}).step_limit == 80
 

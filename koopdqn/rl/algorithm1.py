@@ -24,7 +24,8 @@ from koopdqn.tasks.workcell import Workcell
 
 # Below this [m, or of a quaternion's entries] two poses are one.
 _SAME = 1e-12
-_COUNTERS = ("env_steps", "next_episode", "rounds", "learned_at", "passed", "best_success", "best_update")
+_BEST = ("best_success", "best_distance", "best_update")
+_COUNTERS = ("env_steps", "next_episode", "rounds", "learned_at", "passed", "settled", *_BEST)
 
 
 class Trainer:
@@ -34,7 +35,7 @@ class Trainer:
         history: what happened so far.
         learner: the networks.
         replay: the experience they learn from.
-        best: the policy arrays of the best check so far.
+        best: the policy arrays of the best check so far: most successes, of equal ones the nearest to the intent.
         feedback: the reward function and what answers have taught.
         env_steps: actions tried so far: each transition that was stored.
         learned_at: ``env_steps`` when learned, or −1.
@@ -90,7 +91,9 @@ class Trainer:
         self.rounds = 0
         self.learned_at = -1
         self.passed = 0
+        self.settled = 0.0
         self.best_success = -1.0
+        self.best_distance = 0.0
         self.best_update = 0
         self.best = self.learner.policy_arrays()
         self._losses: list[float] = []
@@ -98,7 +101,7 @@ class Trainer:
     @property
     def policy(self) -> Policy:
         """The policy as it is now."""
-        return Policy(self.learner.online, self._task, self.feedback.reward.model.start_frame)
+        return Policy(self.learner.policy_network, self._task, self.feedback.reward.model.start_frame)
 
     @property
     def learned(self) -> bool:
@@ -317,14 +320,20 @@ class Trainer:
         self._begin(index)
 
     def _check(self) -> Check:
-        success, failures = self._checker.measure(self.policy)
-        check = Check(self.learner.updates, self.env_steps, len(self.history.rewards), success, failures)
+        success, distance, failures = self._checker.measure(self.policy, self.feedback.reward.model.fitted)
+        made = self.learner.updates, self.env_steps, len(self.history.rewards)
+        check = Check(*made, success, distance, failures)
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
         self._losses.clear()
-        self.passed = self.passed + 1 if success >= self.settings.check_success else 0
-        if success >= self.best_success:
-            self.best_success, self.best_update = success, self.learner.updates
+        if success < self.settings.check_success:
+            self.passed = 0
+        elif self.passed and distance >= (1.0 - self.settings.gain) * self.settled:
+            self.passed += 1
+        else:
+            self.passed, self.settled = 1, distance
+        if (success, -distance) >= (self.best_success, -self.best_distance):
+            self.best_success, self.best_distance, self.best_update = success, distance, self.learner.updates
             self.best = self.learner.policy_arrays()
         if not self.learned and self.passed >= self.settings.checks_to_learn:
             self.learned_at = self.env_steps

@@ -152,9 +152,14 @@ class Learner:
                 torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
         return float(loss.detach())
 
+    @property
+    def policy_network(self) -> QNetwork:
+        """The network whose argmax is the policy: the online one or, as an average of it over updates, the target."""
+        return self.target if self.settings.policy_network == "target" else self.online
+
     def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return a copy of the parameters and buffers of the network whose argmax is the policy, the online one."""
-        return _arrays_of(self.online)
+        """Return a copy of the policy network's parameters and buffers."""
+        return _arrays_of(self.policy_network)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return everything the learner needs to go on, as arrays."""

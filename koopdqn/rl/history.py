@@ -6,10 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import SOURCES
+from koopdqn.intent.tube import scaled_distances
+from koopdqn.pose import Array
 from koopdqn.rl.policy import Policy
 from koopdqn.rl.settings import TrainSettings
 from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
 
@@ -21,6 +25,7 @@ class Check:
     env_steps: int
     episodes: int
     success_rate: float
+    intent_distance: float
     failures: dict[str, int]
 
 
@@ -80,10 +85,29 @@ class Checker:
         rng = np.random.default_rng([settings.check_seed, 3])
         self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
 
-    def measure(self, policy: Policy) -> tuple[float, dict[str, int]]:
-        """Return a policy's success rate, and how many starts failed, by cause."""
-        workcell = self._workcell
-        episodes = roll_out(policy, workcell.task, workcell.reachability, self._starts, self._joints, self._step_limit)
+    def measure(self, policy: Policy, model: IntentModel) -> tuple[float, float, dict[str, int]]:
+        """Return a policy's success rate, its distance from the intent's own roll-out, and failed starts by cause.
+
+        The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
+        start: in steps of position or in turns in place, whichever is more.
+        """
+        workcell, task = self._workcell, self._workcell.task
+        begun = self._starts, self._joints, self._step_limit
+        episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True)
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
-        return outcomes.count(SUCCESS) / len(outcomes), failures
+        intended = self._intended(model, max(episode.steps for episode in episodes))
+        unit = np.tile([task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad], (len(intended), 1))
+        each = [
+            scaled_distances(episode.poses, intended[:, index], unit).min(axis=1)
+            for index, episode in enumerate(episodes)
+        ]
+        return outcomes.count(SUCCESS) / len(outcomes), float(np.concatenate(each).mean()), failures
+
+    def _intended(self, model: IntentModel, steps: int) -> Array:
+        """Return the poses (steps + 1, N, 7) that follow one another by the intent alone from the checks' starts."""
+        poses = [self._starts]
+        for _ in range(steps):
+            wished = model.intended(poses[-1], self._starts)
+            poses.append(model.to_step(poses[-1], wished, self._workcell.task.step_m))
+        return np.array(poses)

@@ -13,6 +13,10 @@ class CheckReport(ReportModel):
     env_steps: Count = Field(description="actions tried so far")
     episodes: NonNegativeInt = Field(description="episodes finished so far")
     success_rate: Fraction = Field(description="share of the starts from which the policy succeeds")
+    intent_distance: NonNegative = Field(
+        description="mean distance of the policy's paths from the nearest pose of the intent's own roll-out from the"
+        " same start, in steps of position or turns in place, whichever is more"
+    )
     failures: dict[str, Count] = Field(description="failed starts by cause; a cause that did not occur is absent")
 
 
@@ -50,7 +54,7 @@ class TrainReport(ReportModel):
     seed: NonNegativeInt = Field(description="of the run")
     agent: Name = Field(description="name of the agent's config option")
     intent: Name = Field(description="name of the intent's config option")
-    learned: bool = Field(description="whether train.checks_to_learn checks in a row were passed")
+    learned: bool = Field(description="whether enough checks in a row were passed and nothing was left to gain")
     learned_at_env_steps: NonNegativeInt | None = Field(description="actions tried by then; null if not learned")
     seconds: NonNegative = Field(description="time the run took, all its parts together [s]")
     episodes: NonNegativeInt = Field(description="number E of finished episodes")
@@ -75,7 +79,9 @@ class TrainReport(ReportModel):
     reward_per_episode: list[float] = Field(description="(E,) sum of the rewards of the chosen actions")
     steps_per_episode: list[NonNegativeInt] = Field(description="(E,) steps kept")
     exploring_episode: list[bool] = Field(description="(E,) whether it was a short exploring one")
-    best_success_rate: Fraction = Field(description="success rate of the best check; 0 before the first")
+    best_success_rate: Fraction = Field(
+        description="success rate of the best check, of equal ones the nearest to the intent; 0 before the first"
+    )
     best_update: NonNegativeInt = Field(description="updates at that check, whose network the policy is")
     step_limit: Count = Field(description="steps after which an episode is cut")
     checks: list[CheckReport] = Field(description="(C,) every check, in order")

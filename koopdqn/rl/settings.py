@@ -37,6 +37,9 @@ class AgentSettings(Settings):
     warm_up: Count = Field(description="transitions gathered before the first update")
     target_rate: float = Field(gt=0, le=1, description="share of the way the target network moves at a target update")
     target_every: Count = Field(description="updates between two target updates")
+    policy_network: Literal["online", "target"] = Field(
+        description="whose argmax is the policy: the online network, or the target as its average over many updates"
+    )
     episodes_at_once: Count = Field(description="episodes that run side by side")
     rounds_per_update: Count = Field(description="steps of all episodes between two times of updating")
     updates_per_round: Count = Field(description="updates at each such time")
@@ -86,7 +89,11 @@ class TrainSettings(Settings):
     check_starts: int = Field(ge=20, le=10_000, description="held-out starts of a check")
     check_seed: int = Field(ge=0, description="of the checks' starts")
     check_success: Fraction = Field(description="success rate that passes a check")
-    checks_to_learn: Count = Field(description="passed checks in a row that count as learned")
+    checks_to_learn: Count = Field(
+        description="passed checks in a row that count as learned, none nearer to the intent's own roll-out than the"
+        " first of them by more than the share `gain`"
+    )
+    gain: Fraction = Field(description="share by which a nearer policy counts as still improving")
     step_limit_factor: float = Field(
         ge=3, le=1000, description="step limit of an episode in steps of the longest demonstration"
     )

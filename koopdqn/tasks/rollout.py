@@ -19,6 +19,9 @@ RULE_BROKEN: Final = "rule_broken"
 FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
 """Causes by which an episode can fail."""
 
+# Poses that differ by less [m, or of a quaternion's entries] are one and the same place.
+_SAME_PLACE: Final = 1e-7
+
 Controller = Callable[[Array, Array], np.ndarray]
 """Chooses the actions (N,) from poses (N, 7) of episodes that began at starts (N, 7)."""
 
@@ -46,13 +49,22 @@ class Episode:
 
 
 def roll_out(
-    controller: Controller, task: Task, reachability: Reachability, starts: Array, joints: Array, limit: int
+    controller: Controller,
+    task: Task,
+    reachability: Reachability,
+    starts: Array,
+    joints: Array,
+    limit: int,
+    *,
+    cut_circles: bool = False,
 ) -> list[Episode]:
     """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
 
     An action that the arm cannot take ends its episode as a failure. So does one that leaves the pose
-    unchanged: a controller without memory would choose it for ever.
+    unchanged: a controller without memory would choose it for ever. With ``cut_circles`` an episode that comes back to
+    one of its poses ends there, as one that reaches the limit: that is where it would go round to for ever.
     """
+    seen: list[set[bytes]] = [set() for _ in starts]
     runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
     for _ in range(limit):
         active = [i for i, run in enumerate(runs) if not run.outcome]
@@ -62,6 +74,11 @@ def roll_out(
         actions = controller(poses, starts[active])
         reached = reached_poses(poses, task)[np.arange(len(active)), actions]
         _advance([runs[i] for i in active], reached, task, reachability)
+        for i in active if cut_circles else ():
+            place = np.round(runs[i].poses[-1] / _SAME_PLACE).astype(np.int64).tobytes()
+            if place in seen[i] and not runs[i].outcome:
+                runs[i].outcome = STEP_LIMIT
+            seen[i].add(place)
     return [run.finished() for run in runs]
 
 

@@ -107,7 +107,7 @@ class Sqil:
         return Imitator(best, self.learner.updates, self.env_steps)
 
     def _policy(self) -> Policy:
-        return Policy(deepcopy(self.learner.online), self._workcell.task, self._frame)
+        return Policy(deepcopy(self.learner.policy_network), self._workcell.task, self._frame)
 
     def batch(self) -> Transitions:
         """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own.
