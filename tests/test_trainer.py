@@ -158,7 +158,7 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
 ) -> None:
     rates = iter([1.0, 0.5, 1.0, 1.0, 0.9, 1.0, 1.0, 1.0])
 
-    def scripted(*_: object) -> list[Episode]:
+    def scripted(*_: object, **__: object) -> list[Episode]:
         successes = round(20 * next(rates))
         return [Episode(np.zeros((1, 7)), np.zeros((1, 6)), SUCCESS if i < successes else STUCK) for i in range(20)]
 

@@ -18,6 +18,9 @@ from koopdqn.rl.policy import Policy
 from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.vector_env import EpisodeBatch
+
+# Its rewards say little each, so that targets have to be handed on over many steps; the agent's own pace is too fast.
+_SLOWER: Final = {"learning_rate": 1e-3, "target_rate": 0.01}
 from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.workcell import Workcell
@@ -55,7 +58,7 @@ class Sqil:
         Args:
             workcell: task, arm and scene.
             trajectories: demonstrated poses (N, 7) at the agent's step.
-            agent: how it learns; γ apart, and wrong actions are not stepped back from.
+            agent: how it learns; γ and its pace apart, and wrong actions are not stepped back from.
             seed: fixes everything.
             step_limit: steps after which an episode is cut.
             gamma: γ; larger than the agent's, since only demonstrated steps are rewarded.
@@ -64,7 +67,7 @@ class Sqil:
         task = workcell.task
         self._workcell = workcell
         self._frame = frame
-        self._agent = agent.model_copy(update={"gamma": gamma})
+        self._agent = agent.model_copy(update={"gamma": gamma, **_SLOWER})
         self._shown = demonstrated_transitions(trajectories, task, frame)
         self._shown = replace(
             self._shown, rewards=np.where(self._shown.terminated, 1.0, 1.0 - gamma).astype(np.float32)
