@@ -18,13 +18,12 @@ from koopdqn.rl.policy import Policy
 from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.vector_env import EpisodeBatch
-
-# Its rewards say little each, so that targets have to be handed on over many steps; the agent's own pace is too fast.
-_SLOWER: Final = {"learning_rate": 1e-3, "target_rate": 0.01}
 from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.workcell import Workcell
 
+# Its rewards say little each, so that targets have to be handed on over many steps; the agent's own pace is too fast.
+_SLOWER: Final = {"learning_rate": 1e-3, "target_rate": 0.01}
 # Sets its random numbers apart from those of demonstrations (1), training (2), checks (3) and evaluation (4).
 _STREAM: Final = 7
 
