@@ -84,8 +84,8 @@ LINES: Final = (
     Line("trust-everywhere", "nobody is asked, the intent model is trusted everywhere", ("trust=everywhere",)),
     Line(
         "noisy-100",
-        "ten answers in a hundred wrong, a yes counts no farther than 15 mm: at least a hundred questions",
-        ("oracle=noisy", "oracle.wrong=0.1", "feedback.reach_m=0.015"),
+        "ten answers in a hundred wrong, a yes certifies nothing around it: at least a hundred questions",
+        ("oracle=noisy", "oracle.wrong=0.1", "feedback.extend=false"),
     ),
     Line(
         "wide",
