@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.demonstrations import preprocess as ends
+from koopdqn.demonstrations import preprocess
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, smoothed, trimmed, turning_of
 from koopdqn.errors import BadInputError
@@ -84,13 +84,13 @@ class Derivation(TaskChoice):
         cut = [_cut(index, item) for index, item in enumerate(demonstrations.items)]
         even = [smoothed(each.item) for each in cut]
         learned, aside = even[: len(even) - kept], even[len(even) - kept :]
-        goal = ends.goal_of(learned)
-        spread = ends.check_position(learned, goal, self.end_spread)
+        goal = preprocess.goal_of(learned)
+        spread = preprocess.check_position(learned, goal, self.end_spread)
         shown = [item.poses for item in learned]
         turning = self.turning or turning_of(shown, goal, self.held_limit_rad)
         if turning != "free":
-            ends.check_orientation(learned, goal, self.end_spread_rad)
-        moved = [_oriented(ends.to_goal(item, goal), goal, turning) for item in learned]
+            preprocess.check_orientation(learned, goal, self.end_spread_rad)
+        moved = [_oriented(preprocess.to_goal(item, goal), goal, turning) for item in learned]
         task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
         notes = (
             _about_recordings(cut, even, kept),

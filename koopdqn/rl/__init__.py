@@ -1,1 +1,1 @@
-"""The learner: Algorithm 1, rewards from intent and feedback, vectorised episodes, the double DQN."""
+"""The learner: Algorithm 1, rewards from feedback, vectorised episodes, the double DQN."""

@@ -85,7 +85,7 @@ class Trainer:
         self.next_episode = 0
         for index in range(len(self._batch)):
             self._begin(index)
-        self._checker = Checker(workcell, settings, self.step_limit)
+        self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)
         self.history = History()
         self.env_steps = 0
         self.rounds = 0
@@ -320,7 +320,7 @@ class Trainer:
         self._begin(index)
 
     def _check(self) -> Check:
-        success, distance, failures = self._checker.measure(self.policy, self.feedback.reward.model.fitted)
+        success, distance, failures = self._checker.measure(self.policy)
         made = self.learner.updates, self.env_steps, len(self.history.rewards)
         check = Check(*made, success, distance, failures)
         self.history.checks.append(check)

@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from koopdqn.rl.settings import TrainSettings
 from koopdqn.tasks.rollout import SUCCESS, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
+
+# Below this [m, or of a quaternion's entries] a roll-out has come to rest.
+_AT_REST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -78,14 +82,18 @@ class History:
 class Checker:
     """Tries policies from the same starts each time."""
 
-    def __init__(self, workcell: Workcell, settings: TrainSettings, step_limit: int) -> None:
-        """Draw the starts: ``settings.check_starts``, by ``settings.check_seed``; episodes end after ``step_limit``."""
+    def __init__(self, workcell: Workcell, model: IntentModel, settings: TrainSettings, step_limit: int) -> None:
+        """Draw the starts: ``settings.check_starts``, by ``settings.check_seed``; episodes end after ``step_limit``.
+
+        ``model`` is the intent as it was fitted, whose roll-outs paths are compared with.
+        """
         self._workcell = workcell
+        self._model = model
         self._step_limit = step_limit
         rng = np.random.default_rng([settings.check_seed, 3])
         self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
 
-    def measure(self, policy: Policy, model: IntentModel) -> tuple[float, float, dict[str, int]]:
+    def measure(self, policy: Policy) -> tuple[float, float, dict[str, int]]:
         """Return a policy's success rate, its distance from the intent's own roll-out, and failed starts by cause.
 
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
@@ -96,7 +104,7 @@ class Checker:
         episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True)
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
-        intended = self._intended(model, max(episode.steps for episode in episodes))
+        intended = self._intended
         unit = np.tile([task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad], (len(intended), 1))
         each = [
             scaled_distances(episode.poses, intended[:, index], unit).min(axis=1)
@@ -104,10 +112,13 @@ class Checker:
         ]
         return outcomes.count(SUCCESS) / len(outcomes), float(np.concatenate(each).mean()), failures
 
-    def _intended(self, model: IntentModel, steps: int) -> Array:
-        """Return the poses (steps + 1, N, 7) that follow one another by the intent alone from the checks' starts."""
+    @cached_property
+    def _intended(self) -> Array:
+        """The poses (T, N, 7) that follow one another by the intent alone from the checks' starts, until they rest."""
         poses = [self._starts]
-        for _ in range(steps):
-            wished = model.intended(poses[-1], self._starts)
-            poses.append(model.to_step(poses[-1], wished, self._workcell.task.step_m))
+        for _ in range(self._step_limit):
+            wished = self._model.intended(poses[-1], self._starts)
+            poses.append(self._model.to_step(poses[-1], wished, self._workcell.task.step_m))
+            if np.abs(poses[-1] - poses[-2]).max() < _AT_REST:
+                break
         return np.array(poses)
