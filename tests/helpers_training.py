@@ -12,8 +12,8 @@ from koopdqn.oracles.base import Oracle
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.experience import Asking
 from koopdqn.rl.human_reward import Budget
+from koopdqn.rl.questions import Asking
 from koopdqn.tasks.workcell import Workcell
 
 UNCHECKED = {"check_every": 10**6}

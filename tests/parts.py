@@ -16,7 +16,7 @@ from koopdqn.intent.trust import TrustSettings
 from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.pose import Array
 from koopdqn.resources import conf_dir
-from koopdqn.rl.human_reward import FeedbackSettings
+from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.ur import URArm
 from koopdqn.settings import TARGET, load_settings, validate

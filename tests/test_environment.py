@@ -117,7 +117,7 @@ def test_the_goal_terminates_with_discount_zero(workcell: Workcell, reward: Inte
     environment = KoopmanEnvironment(workcell, reward, ScriptedOracle(task), 3000, 3)
     timestep = environment.reset()
     for _ in range(1000):
-        judged = reward.judge(environment.pose[None], np.array([0]))
+        judged = reward.evaluate_actions(environment.pose[None], np.array([0]))
         wished = task.demonstrator.next_pose(environment.pose[None])[0]
         # One in forty of the model's rewards is not the demonstrator's; a wrong action is undone.
         right = np.flatnonzero(judged.reward[0] >= 0)
@@ -161,7 +161,9 @@ def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward
         np.testing.assert_array_equal(first.pose, before)
         np.testing.assert_array_equal([first.start, second.start], [before, before])
         np.testing.assert_array_equal(first.reached, second.pose)
-        np.testing.assert_array_equal(first.predicted, reward.judge(before[None], np.array([0])).predicted[0])
+        np.testing.assert_array_equal(
+            first.predicted, reward.evaluate_actions(before[None], np.array([0])).predicted[0]
+        )
         assert "of the rewards here are right" in first.reason or "standard deviations" in first.reason
 
 
@@ -171,7 +173,7 @@ def test_where_the_model_is_trusted_nobody_is_asked(workcell: Workcell, reward: 
     environment = KoopmanEnvironment(workcell, sure, clerk, 100, 1)
     environment.reset()
     for _ in range(30):
-        judged = sure.judge(environment.pose[None], np.array([0]))
+        judged = sure.evaluate_actions(environment.pose[None], np.array([0]))
         asked = len(clerk.asked)
         action = int(judged.reward[0].argmax())
         timestep = environment.step(action)

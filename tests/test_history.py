@@ -8,7 +8,7 @@ from koopdqn.rl.history import Check, History
 
 def some_history() -> History:
     history = History([1.5, -2.0], [3, 4], [True, False], [0.25], [Check(250, 1000, 9, 0.5, 3.5, {"collision": 10})])
-    history.judged[[RULE, TRUSTED, ASKED, REMEMBERED]] = [7, 8, 4, 5]
+    history.labelled[[RULE, TRUSTED, ASKED, REMEMBERED]] = [7, 8, 4, 5]
     history.agreed[[RULE, TRUSTED, ASKED, REMEMBERED]] = [0, 6, 4, 2]
     return history
 
@@ -16,9 +16,9 @@ def some_history() -> History:
 def test_it_comes_back_through_json_and_goes_on() -> None:
     restored = History.restored(json.loads(json.dumps(some_history().state())))
     assert restored.state() == some_history().state()
-    restored.judged[ASKED] += 1
+    restored.labelled[ASKED] += 1
     assert restored.checks[0] == Check(250, 1000, 9, 0.5, 3.5, {"collision": 10})
-    assert restored.judged.dtype == some_history().judged.dtype
+    assert restored.labelled.dtype == some_history().labelled.dtype
 
 
 def test_what_it_came_from_stays_as_it_was() -> None:
@@ -45,6 +45,6 @@ def test_where_no_reward_was_given_there_is_no_share() -> None:
 def test_two_histories_share_nothing() -> None:
     one, two = History(), History()
     one.rewards.append(1.0)
-    one.judged[0] += 1
+    one.labelled[0] += 1
     assert two.rewards == []
-    np.testing.assert_array_equal(two.judged, 0)
+    np.testing.assert_array_equal(two.labelled, 0)

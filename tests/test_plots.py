@@ -66,7 +66,7 @@ def history() -> History:
         exploring=(rng.random(count) < 0.5).tolist(),
         losses=[0.1, 0.03, 0.01, 0.004],
         checks=checks,
-        judged=np.array([0, 9000, 40, 300, 200]),
+        labelled=np.array([0, 9000, 40, 300, 200]),
         agreed=np.array([0, 8900, 40, 297, 190]),
     )
 

@@ -47,7 +47,7 @@ def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Ar
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
     poses, steps = beside(trajectories, seed, 20, spread)
     for prediction in ("raw", "rescaled"):
-        judged = reward_with(reward, **{**SIGN.model_dump(), "prediction": prediction}).judge(poses, steps)
+        judged = reward_with(reward, **{**SIGN.model_dump(), "prediction": prediction}).evaluate_actions(poses, steps)
         wished = (
             reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
         )
@@ -62,8 +62,8 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
     reward: IntentReward, trajectories: list[Array], seed: int, spread: float, size: float
 ) -> None:
     poses, steps = beside(trajectories, seed, 20, spread)
-    signed = reward_with(reward, shape="sign", size=size, goal=0.0).judge(poses, steps).reward
-    margin = reward_with(reward, shape="margin", size=size, goal=0.0).judge(poses, steps).reward
+    signed = reward_with(reward, shape="sign", size=size, goal=0.0).evaluate_actions(poses, steps).reward
+    margin = reward_with(reward, shape="margin", size=size, goal=0.0).evaluate_actions(poses, steps).reward
     np.testing.assert_array_equal(margin >= 0, signed >= 0)
     assert np.abs(margin).max() <= size
     np.testing.assert_allclose(np.abs(signed), size)
@@ -71,7 +71,7 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
 
 def test_a_larger_margin_is_nearer_to_the_prediction(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 0, 30, 0.002)
-    judged = reward_with(reward, shape="margin", goal=0.0).judge(poses, steps)
+    judged = reward_with(reward, shape="margin", goal=0.0).evaluate_actions(poses, steps)
     distance = pose.position_distance(judged.reached, judged.predicted[:, None])
     for row in range(len(poses)):
         order = np.argsort(distance[row, AXES])
@@ -82,7 +82,7 @@ def test_actions_named_for_rotation_are_wrong_by_rule_where_orientation_is_held(
     reward: IntentReward, trajectories: list[Array]
 ) -> None:
     poses, steps = beside(trajectories, 1, 30, 0.001)
-    judged = reward.judge(poses, steps)
+    judged = reward.evaluate_actions(poses, steps)
     for action in (0, 2, 3):
         np.testing.assert_array_equal(judged.reward[:, action], -reward.settings.size)
         np.testing.assert_array_equal(judged.source[:, action], RULE)
@@ -90,7 +90,7 @@ def test_actions_named_for_rotation_are_wrong_by_rule_where_orientation_is_held(
 
 
 def test_an_action_that_changes_nothing_is_wrong_even_at_the_goal(reward: IntentReward) -> None:
-    judged = reward.judge(reward.task.goal[None], np.array([500]))
+    judged = reward.evaluate_actions(reward.task.goal[None], np.array([500]))
     assert pose.position_distance(judged.reached[0, 1], reward.task.goal) == 0
     assert judged.reward[0, 1] == -reward.settings.size
     assert judged.source[0, 1] == RULE
@@ -98,7 +98,7 @@ def test_an_action_that_changes_nothing_is_wrong_even_at_the_goal(reward: Intent
 
 def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 2, 100, 0.02)
-    judged = reward.judge(poses, steps)
+    judged = reward.evaluate_actions(poses, steps)
     np.testing.assert_array_equal(judged.known, judged.source != ASKED)
     assert set(np.unique(judged.source)) == {RULE, TRUSTED, ASKED}
     assert SOURCES == ("rule", "trusted", "asked", "remembered", "certified")
@@ -110,7 +110,9 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
 ) -> None:
     settings_ = reward.trust.settings.model_copy(update={"needs": needs})
     trust = replace(undoubting(reward).trust, settings=settings_, radius=0.6 * reward.trust.radius)
-    judged = IntentReward(reward.task, reward.model, trust, SIGN).judge(*(data := beside(trajectories, 3, 200, 0.012)))
+    judged = IntentReward(reward.task, reward.model, trust, SIGN).evaluate_actions(
+        *(data := beside(trajectories, 3, 200, 0.012))
+    )
     poses, steps = data
     here = trust.inside(poses, steps)
     there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
@@ -128,7 +130,7 @@ def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_star
     following = IntentReward(reward.task, model, undoubting(reward).trust, SIGN)
     poses, steps = beside(trajectories, 7, 200, 0.004)
     starts = reward.task.draw_starts(np.random.default_rng(7), len(poses))
-    judged = following.judge(poses, steps, starts)
+    judged = following.evaluate_actions(poses, steps, starts)
     np.testing.assert_array_equal(judged.reached, reached_poses(poses, reward.task))
     np.testing.assert_array_equal(judged.placed, frame.placed(poses, starts))
     np.testing.assert_array_equal(judged.placed_reached, frame.placed(judged.reached, starts[:, None]))
@@ -140,8 +142,8 @@ def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_star
     np.testing.assert_array_equal(trusted, np.stack(there, axis=1) & here[:, None])
     assert not np.array_equal(here, reward.trust.inside(poses, steps)), "some start must tell the two apart"
     # From the nominal start itself nothing is moved.
-    nominal = following.judge(poses, steps, np.repeat(reward.task.nominal_start[None], len(poses), axis=0))
-    plain = following.judge(poses, steps)
+    nominal = following.evaluate_actions(poses, steps, np.repeat(reward.task.nominal_start[None], len(poses), axis=0))
+    plain = following.evaluate_actions(poses, steps)
     for name in ("predicted", "reward", "margin", "placed_reached"):
         np.testing.assert_allclose(getattr(nominal, name), getattr(plain, name), atol=1e-9)
 
@@ -160,7 +162,9 @@ ASKED_STEPS: list[tuple[int, np.ndarray]] = []
 def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, trajectories: list[Array]) -> None:
     recording = _Recording(**{name: getattr(reward.trust, name) for name in reward.trust.__dataclass_fields__})
     ASKED_STEPS.clear()
-    IntentReward(reward.task, reward.model, recording, SIGN).judge(trajectories[0][[3, 40]], np.array([3, 40]))
+    IntentReward(reward.task, reward.model, recording, SIGN).evaluate_actions(
+        trajectories[0][[3, 40]], np.array([3, 40])
+    )
     by_count = dict(ASKED_STEPS)
     assert by_count.keys() == {2, 20}
     np.testing.assert_array_equal(by_count[2], [3, 40])
@@ -170,7 +174,7 @@ def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, tr
 def test_doubt_leaves_the_best_action_and_the_clear_ones(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = trajectories[0][:150], np.arange(150)
     exact = reward_with(reward, shape="margin", goal=0.0)
-    sure, doubting = (undoubting(exact, doubt).judge(poses, steps) for doubt in (0.0, 0.3))
+    sure, doubting = (undoubting(exact, doubt).evaluate_actions(poses, steps) for doubt in (0.0, 0.3))
     np.testing.assert_array_equal(sure.reward, doubting.reward)
     dropped = (sure.source == TRUSTED) & (doubting.source == ASKED)
     assert dropped.any()
@@ -186,8 +190,8 @@ def test_reaching_the_goal_rightly_is_worth_more(reward: IntentReward) -> None:
     bonus = 0.75
     near = reward.task.goal[None].copy()
     near[0, 0] -= reward.task.goal_tolerance_m + 0.5 * reward.task.step_m
-    given_ = reward_with(reward, shape="sign", goal=bonus).judge(near, np.array([200]))
-    without = reward_with(reward, shape="sign", goal=0.0).judge(near, np.array([200]))
+    given_ = reward_with(reward, shape="sign", goal=bonus).evaluate_actions(near, np.array([200]))
+    without = reward_with(reward, shape="sign", goal=0.0).evaluate_actions(near, np.array([200]))
     difference = given_.reward - without.reward
     right_there = given_.at_goal & (without.reward >= 0)
     assert right_there.any()
@@ -206,7 +210,7 @@ def test_answers_are_worth_what_predictions_are(reward: IntentReward) -> None:
 
 def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, trajectories: list[Array]) -> None:
     for rows in trajectories[:2]:
-        judged = reward.judge(rows[:-2], np.arange(len(rows) - 2))
+        judged = reward.evaluate_actions(rows[:-2], np.arange(len(rows) - 2))
         assert (judged.reward >= 0).any(axis=1).all()
 
 
@@ -219,7 +223,7 @@ def test_an_answer_moves_no_prediction_that_demonstrations_vouch_for(
     poses, steps = beside(trajectories, 5, 300, 0.03)
     shown = reward.trust.vouched(poses, steps).shown
     assert 20 < shown.sum() < 280
-    before, then = reward.judge(poses, steps).predicted, moved.judge(poses, steps).predicted
+    before, then = reward.evaluate_actions(poses, steps).predicted, moved.evaluate_actions(poses, steps).predicted
     np.testing.assert_array_equal(then[shown], before[shown])
     changed = np.abs(then - before).max(axis=1) > 1e-6
     assert changed[~shown].mean() > 0.5

@@ -91,8 +91,8 @@ def test_where_people_follow_their_start_the_agent_sees_poses_as_from_the_nomina
     placed = frame.placed(held.poses, held.starts)
     np.testing.assert_array_equal(held.observations, observe(placed, task))
     assert np.abs(placed - held.poses).max() > 1e-3
-    batch = trainer._batch
-    np.testing.assert_array_equal(trainer._judge().placed, frame.placed(batch.poses, batch.starts))
+    batch = trainer.env.episodes
+    np.testing.assert_array_equal(trainer.env.evaluate_actions().placed, frame.placed(batch.poses, batch.starts))
     begun = [asked for asked in clerk.asked if asked.step == 0]
     assert begun
     for asked in clerk.asked:
@@ -146,11 +146,11 @@ def test_checks_are_made_at_their_updates_and_tell_the_policys_success(make: Mak
     assert trainer.history.checks == seen
     for check in seen:
         assert sum(check.failures.values()) == round(20 * (1 - check.success_rate))
-    assert trainer.best_success == max(check.success_rate for check in seen)
+    assert trainer.progress.best_success == max(check.success_rate for check in seen)
     assert len(trainer.history.losses) == len(seen)
     # Of equally good policies the latest is kept.
-    best = [check.updates for check in seen if check.success_rate == trainer.best_success]
-    assert trainer.best_update == best[-1]
+    best = [check.updates for check in seen if check.success_rate == trainer.progress.best_success]
+    assert trainer.progress.best_update == best[-1]
 
 
 def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
@@ -162,7 +162,7 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
         successes = round(20 * next(rates))
         return [Episode(np.zeros((1, 7)), np.zeros((1, 6)), SUCCESS if i < successes else STUCK) for i in range(20)]
 
-    monkeypatch.setattr("koopdqn.rl.history.roll_out", scripted)
+    monkeypatch.setattr("koopdqn.rl.checks.roll_out", scripted)
     trainer = make(
         train={"check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "check_every": 4, "max_steps": 10**6}
     )
@@ -170,9 +170,9 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
     trainer.run(lambda check: policies.append(trainer.learner.policy_arrays()))
     assert [check.success_rate for check in trainer.history.checks] == [1.0, 0.5, 1.0, 1.0, 0.9, 1.0, 1.0, 1.0]
     assert trainer.history.checks[1].failures == {STUCK: 10}
-    assert trainer.learned_at == trainer.history.checks[-1].env_steps
-    assert trainer.best_success == 1.0
-    assert trainer.best_update == 32
+    assert trainer.progress.learned_at == trainer.history.checks[-1].env_steps
+    assert trainer.progress.best_success == 1.0
+    assert trainer.progress.best_update == 32
     for name, values in trainer.best.items():
         np.testing.assert_array_equal(values, policies[-1][name])
 
@@ -182,15 +182,15 @@ def test_learned_is_when_the_way_stops_coming_nearer_to_the_intents_own(
 ) -> None:
     found = [(1.0, 9.0), (1.0, 8.5), (1.0, 8.0), (1.0, 7.5), (0.9, 7.0), (1.0, 6.0), (1.0, 5.9), (1.0, 6.4)]
     rest = iter(found)
-    monkeypatch.setattr("koopdqn.rl.history.Checker.measure", lambda *_: (*next(rest), {}))
+    monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (*next(rest), {}))
     trainer = make(
         train={"gain": 0.1, "check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "max_steps": 10**6}
     )
     trainer.run()
     assert [(check.success_rate, check.intent_distance) for check in trainer.history.checks] == found
     # 8.0 is nearer than 9.0 by more than a tenth, and 0.9 is too seldom: both begin the count anew.
-    assert trainer.learned_at == trainer.history.checks[-1].env_steps
-    assert trainer.best_update == trainer.history.checks[6].updates
+    assert trainer.progress.learned_at == trainer.history.checks[-1].env_steps
+    assert trainer.progress.best_update == trainer.history.checks[6].updates
 
 
 def test_the_step_limit_is_a_multiple_of_the_longest_demonstration(make: Make) -> None:
@@ -202,7 +202,7 @@ def test_learned_is_enough_passed_checks_in_a_row_and_stops_there(make: Make) ->
     trainer.run()
     assert trainer.learned
     assert [check.updates for check in trainer.history.checks][:3] == [10, 20, 30]
-    assert trainer.learned_at == trainer.history.checks[2].env_steps
+    assert trainer.progress.learned_at == trainer.history.checks[2].env_steps
     # At most the rest of one round's updates.
     assert trainer.learner.updates <= 30 + 4
 
@@ -213,10 +213,10 @@ def test_training_on_goes_to_a_multiple_of_what_it_took_to_learn(make: Make, ext
         train={"check_success": 0.0, "stop": "limit", "extend": extend, "max_steps": 10**6, "checks_to_learn": 1}
     )
     trainer.run()
-    assert trainer.env_steps >= extend * trainer.learned_at
+    assert trainer.env_steps >= extend * trainer.progress.learned_at
     # A round of four episodes tries at most ten actions each, and one more that is asked.
-    assert trainer.env_steps <= extend * trainer.learned_at + 4 * 11
-    assert trainer.learned_at == trainer.history.checks[0].env_steps
+    assert trainer.env_steps <= extend * trainer.progress.learned_at + 4 * 11
+    assert trainer.progress.learned_at == trainer.history.checks[0].env_steps
 
 
 def test_limits_of_steps_and_episodes_bound_an_unlearned_run(make: Make) -> None:
@@ -224,7 +224,7 @@ def test_limits_of_steps_and_episodes_bound_an_unlearned_run(make: Make) -> None
     by_steps.run()
     assert 150 <= by_steps.env_steps <= 150 + 4 * 11
     assert not by_steps.learned
-    assert by_steps.learned_at == -1
+    assert by_steps.progress.learned_at == -1
     by_episodes = make(train={"max_episodes": 6, "max_steps": 10**6, **UNCHECKED})
     by_episodes.run()
     assert 6 <= len(by_episodes.history.rewards) <= 6 + 4
@@ -248,9 +248,9 @@ def test_with_an_oracle_that_is_always_right_every_answer_agrees(make: Make, rew
     trainer = make(judged_by=half_trusting(reward), train=UNCHECKED)
     trainer.run()
     history = trainer.history
-    assert history.judged[ASKED] == trainer.questions > 0
-    assert history.agreed[ASKED] == history.judged[ASKED]
-    assert history.judged[TRUSTED] > history.agreed[TRUSTED] * 0.5 > 0
+    assert history.labelled[ASKED] == trainer.questions > 0
+    assert history.agreed[ASKED] == history.labelled[ASKED]
+    assert history.labelled[TRUSTED] > history.agreed[TRUSTED] * 0.5 > 0
 
 
 def test_nothing_is_asked_twice_nor_where_it_is_known(make: Make, workcell: Workcell, reward: IntentReward) -> None:
@@ -262,7 +262,7 @@ def test_nothing_is_asked_twice_nor_where_it_is_known(make: Make, workcell: Work
     keys = [(asked.episode, asked.step, asked.action) for asked in clerk.asked]
     assert len(keys) == len(set(keys)) == trainer.questions > 0
     for asked in clerk.asked:
-        judged = narrow.judge(asked.pose[None], np.array([asked.step]))
+        judged = narrow.evaluate_actions(asked.pose[None], np.array([asked.step]))
         assert not judged.known[0, asked.action]
         np.testing.assert_array_equal(judged.reached[0, asked.action], asked.reached)
         # A batch of another size rounds its matrix products otherwise.
@@ -278,7 +278,7 @@ def test_the_likeliest_action_is_asked_first(make: Make, reward: IntentReward) -
     for asked in clerk.asked:
         by_episode.setdefault(asked.episode, []).append(asked)
     for questions in by_episode.values():
-        opinion = reward.judge(questions[0].pose[None], np.array([0])).margin[0]
+        opinion = reward.evaluate_actions(questions[0].pose[None], np.array([0])).margin[0]
         order = [opinion[asked.action] for asked in questions]
         assert order == sorted(order, reverse=True)
 
@@ -290,7 +290,7 @@ def test_wrong_actions_are_undone_stored_and_end_an_episode_when_none_is_left(ma
     trainer.run()
     history = trainer.history
     assert set(history.lengths) == {0}
-    assert history.judged[TRUSTED] == 0
+    assert history.labelled[TRUSTED] == 0
     finished = len(history.rewards)
     # Three actions are wrong by rule; the other seven are asked for, or impossible.
     per_episode = [sum(asked.episode == number for asked in clerk.asked) for number in range(finished)]
@@ -310,7 +310,7 @@ def test_skipped_questions_teach_nothing_and_do_not_hang(make: Make, reward: Int
     trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 8}, feedback=FORGETFUL)
     trainer.run()
     assert trainer.questions == len(clerk.asked) > 0
-    assert trainer.history.judged[ASKED] == 0
+    assert trainer.history.labelled[ASKED] == 0
     assert set(trainer.history.lengths) == {0}
     arrays, _ = trainer.state()
     assert set(np.unique(arrays["replay/actions"])) <= {0, 2, 3}

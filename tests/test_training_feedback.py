@@ -18,7 +18,7 @@ from helpers_training import (
 from parts import Clerk, Parts
 
 from koopdqn import pose
-from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward, Judgement
+from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.oracles.journal import JournalledOracle
 from koopdqn.oracles.scripted import ImperfectOracle, ScriptedOracle
@@ -58,7 +58,7 @@ class Scripted(Clerk):
         return self.answers.get(len(self.asked) - 1) or self.expert.answer(question)
 
 
-def question_at(judged: Judgement, point: Array, action: int) -> Question:
+def question_at(judged: ActionEvaluation, point: Array, action: int) -> Question:
     return Question(
         0, 0, point.copy(), point.copy(), action, judged.reached[0, action].copy(), judged.predicted[0].copy(), ""
     )
@@ -66,19 +66,19 @@ def question_at(judged: Judgement, point: Array, action: int) -> Question:
 
 def ask(trainer: Trainer, point: Array, action: int) -> bool | None:
     """Ask about an action at a pose (7,) as training does, without an episode."""
-    judged = trainer.feedback.judge(point[None], np.array([0]))
-    return trainer.feedback.ask(question_at(judged, point, action), judged, 0, trainer.replay).right
+    judged = trainer.feedback.evaluate_actions(point[None], np.array([0]))
+    return trainer.feedback.ask(question_at(judged, point, action), judged, 0).right
 
 
 def unexpected(reward: IntentReward, point: Array) -> int:
     """Return an axis that the model finds wrong at a pose (7,), though half right."""
-    margin = reward.judge(point[None], np.array([0])).margin[0]
+    margin = reward.evaluate_actions(point[None], np.array([0])).margin[0]
     return int(np.where(margin < 0, margin, -np.inf).argmax())
 
 
-def assert_same_judgement(one: IntentReward | Feedback, two: IntentReward | Feedback, poses: Array) -> None:
-    judged, other = (each.judge(poses, np.zeros(len(poses), dtype=int)) for each in (one, two))
-    for name in Judgement.__dataclass_fields__:
+def assert_same_evaluation(one: IntentReward | Feedback, two: IntentReward | Feedback, poses: Array) -> None:
+    judged, other = (each.evaluate_actions(poses, np.zeros(len(poses), dtype=int)) for each in (one, two))
+    for name in ActionEvaluation.__dataclass_fields__:
         np.testing.assert_array_equal(getattr(judged, name), getattr(other, name), err_msg=name)
 
 
@@ -88,7 +88,7 @@ def test_an_answer_holds_for_its_action_nearby_and_names_itself(
 ) -> None:
     trainer = make(Clerk(lambda question: right), feedback=REMEMBERING)
     point = trajectories[0][100]
-    action = int(trainer.feedback.judge(point[None], np.array([0])).margin[0].argmax())
+    action = int(trainer.feedback.evaluate_actions(point[None], np.array([0])).margin[0].argmax())
     assert ask(trainer, point, action) is right
     far = point.copy()
     far[0] += 0.005
@@ -96,7 +96,7 @@ def test_an_answer_holds_for_its_action_nearby_and_names_itself(
     here = _margin_at(trainer, point, action)
     around = [point + sign * 2e-4 * np.eye(7)[axis] for axis in range(3) for sign in (-1, 1)]
     near = next(place for place in around if (_margin_at(trainer, place, action) >= here) == right)
-    judged = trainer.feedback.judge(np.array([point, near, far]), np.array([0, 0, 0]))
+    judged = trainer.feedback.evaluate_actions(np.array([point, near, far]), np.array([0, 0, 0]))
     np.testing.assert_array_equal(judged.known[:, action], [True, True, False])
     for row in (0, 1):
         assert judged.source[row, action] == REMEMBERED
@@ -114,9 +114,9 @@ def test_what_is_remembered_is_counted_and_not_asked_again_nearby(make: Make, wo
         trainers.append(make(clerks[-1], feedback=feedback))
         trainers[-1].run()
     forgetful, remembering = trainers
-    assert forgetful.history.judged[REMEMBERED] == 0 < remembering.history.judged[REMEMBERED]
-    assert remembering.history.counts()["remembered"] == remembering.history.judged[REMEMBERED]
-    settings = remembering.feedback.memory.settings
+    assert forgetful.history.labelled[REMEMBERED] == 0 < remembering.history.labelled[REMEMBERED]
+    assert remembering.history.counts()["remembered"] == remembering.history.labelled[REMEMBERED]
+    settings = remembering.feedback.answers.settings
     for later, asked in enumerate(clerks[1].asked):
         for earlier in clerks[1].asked[:later]:
             if earlier.action == asked.action:
@@ -128,7 +128,7 @@ def test_what_is_remembered_is_counted_and_not_asked_again_nearby(make: Make, wo
 
 
 def _margin_at(trainer: Trainer, point: Array, action: int) -> float:
-    return float(trainer.feedback.reward.judge(point[None], np.array([0])).margin[0, action])
+    return float(trainer.feedback.reward.evaluate_actions(point[None], np.array([0])).margin[0, action])
 
 
 def test_a_yes_extends_trust_so_that_fewer_questions_follow(make: Make) -> None:
@@ -136,7 +136,7 @@ def test_a_yes_extends_trust_so_that_fewer_questions_follow(make: Make) -> None:
     for trainer in (plain, extending):
         trainer.run()
     assert 0 < extending.questions < 0.5 * plain.questions
-    assert plain.history.judged[CERTIFIED] == 0 < extending.history.judged[CERTIFIED]
+    assert plain.history.labelled[CERTIFIED] == 0 < extending.history.labelled[CERTIFIED]
     assert extending.env_steps >= 300 <= plain.env_steps
 
 
@@ -149,16 +149,17 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     point = held.poses[np.flatnonzero(trusted)[0]]
     before = trainer.feedback.reward
     action = unexpected(before, point)
-    reached = before.judge(point[None], np.array([0])).reached[0, action]
+    reached = before.evaluate_actions(point[None], np.array([0])).reached[0, action]
     assert ask(trainer, point, action)
     after = trainer.feedback.reward
     gaps = [
-        pose.position_distance(each.judge(point[None], np.array([0])).predicted[0], reached) for each in (before, after)
+        pose.position_distance(each.evaluate_actions(point[None], np.array([0])).predicted[0], reached)
+        for each in (before, after)
     ]
     assert gaps[1] < 0.1 * gaps[0]
     held = trainer.replay.held()
     rows = np.flatnonzero(held.sources == CERTIFIED)
-    judged = after.judge(held.poses[rows], held.steps[rows])
+    judged = after.evaluate_actions(held.poses[rows], held.steps[rows])
     each = np.arange(len(rows)), held.actions[rows]
     assert judged.known[each].all()
     np.testing.assert_allclose(held.rewards[rows], judged.reward[each], atol=1e-6)
@@ -174,19 +175,19 @@ def test_an_undo_takes_back_the_answers_transitions_and_its_effect_but_no_counte
     trainer.run()
     points = np.concatenate(trajectories)[::7]
     held, before = trainer.replay.held(), replace_reward(trainer)
-    counters = trainer.questions, trainer.env_steps, trainer.learner.updates, trainer.next_episode
+    counters = trainer.questions, trainer.env_steps, trainer.learner.updates, trainer.env.begun
     point = trajectories[0][60]
     action = unexpected(trainer.feedback.reward, point)
     number = trainer.questions
     trainer.feedback._oracle = Clerk()
     ask(trainer, point, action)
-    assert trainer.feedback.memory.numbers[-1] == number
-    other = trainer.feedback.judge(point[None], np.array([0]))
+    assert trainer.feedback.answers.numbers[-1] == number
+    other = trainer.feedback.evaluate_actions(point[None], np.array([0]))
     assert other.known[0, action]
     trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1)})
     assert ask(trainer, trajectories[0][90], 5) is None
-    assert number not in trainer.feedback.memory.numbers
-    assert_same_judgement(trainer.feedback.reward, before, points)
+    assert number not in trainer.feedback.answers.numbers
+    assert_same_evaluation(trainer.feedback.reward, before, points)
     now = trainer.replay.held()
     assert number not in now.answers
     # What rests on other answers, on rules or on a trusted model that is as it was has stayed.
@@ -194,13 +195,13 @@ def test_an_undo_takes_back_the_answers_transitions_and_its_effect_but_no_counte
     np.testing.assert_allclose(now.rewards, held.rewards, atol=1e-6)
     questions, *others = counters
     assert trainer.questions == questions + 2
-    assert (trainer.env_steps, trainer.learner.updates, trainer.next_episode) == tuple(others)
+    assert (trainer.env_steps, trainer.learner.updates, trainer.env.begun) == tuple(others)
 
 
 def replace_reward(trainer: Trainer) -> IntentReward:
     """Return the trainer's present reward function, made anew from its answers."""
     feedback = trainer.feedback
-    yeses, before, after = feedback.memory.extension()
+    yeses, before, after = feedback.answers.extension()
     reaches = feedback._reaches(before)
     radii = np.concatenate([feedback._radii(yeses), np.minimum(0.5 * reaches, feedback._settings.reach_m)])
     return feedback._base.extended(np.concatenate([yeses, before]), radii, before, after, reaches)
@@ -210,7 +211,7 @@ def test_an_undo_removes_exactly_the_transitions_of_the_withdrawn_answers(make: 
     trainer = make(feedback=REMEMBERING, agent={"replay": 5000})
     trainer.run()
     held = trainer.replay.held()
-    standing = sorted(set(trainer.feedback.memory.numbers))
+    standing = sorted(set(trainer.feedback.answers.numbers))
     gone = standing[-3:]
     trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=3)})
     point = held.poses[0]
@@ -219,7 +220,7 @@ def test_an_undo_removes_exactly_the_transitions_of_the_withdrawn_answers(make: 
     assert (~kept).sum() > 0
     for name in ("poses", "actions", "rewards", "answers"):
         np.testing.assert_array_equal(getattr(now, name), getattr(held, name)[kept])
-    assert set(trainer.feedback.memory.numbers) == set(standing[:-3])
+    assert set(trainer.feedback.answers.numbers) == set(standing[:-3])
 
 
 def test_an_undo_withdraws_the_latest_answers_even_if_a_contradiction_has_forgotten_them(
@@ -230,10 +231,10 @@ def test_an_undo_withdraws_the_latest_answers_even_if_a_contradiction_has_forgot
     ask(trainer, one, 4)
     ask(trainer, two, 5)
     trainer.feedback.contradict(two)
-    assert trainer.feedback.memory.numbers == [0]
+    assert trainer.feedback.answers.numbers == [0]
     trainer.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1)})
     ask(trainer, one, 6)
-    assert trainer.feedback.memory.numbers == [0], "the no was the latest answer, not the yes"
+    assert trainer.feedback.answers.numbers == [0], "the no was the latest answer, not the yes"
 
 
 def test_a_better_action_is_known_and_right_at_the_pose(make: Make, trajectories: list[Array]) -> None:
@@ -241,7 +242,7 @@ def test_a_better_action_is_known_and_right_at_the_pose(make: Make, trajectories
         trainer = make(Scripted(Clerk(), {0: Answer(False, "clerk", better=8)}), feedback=feedback)
         point = trajectories[0][100]
         assert ask(trainer, point, 5) is False
-        judged = trainer.feedback.judge(point[None], np.array([0]))
+        judged = trainer.feedback.evaluate_actions(point[None], np.array([0]))
         assert judged.known[0, 8]
         assert judged.reward[0, 8] > 0
         assert judged.known[0, 5]
@@ -261,9 +262,9 @@ def test_a_better_action_is_taken_next_even_if_it_was_passed_over(make: Make) ->
     clerk.answer = answered  # type: ignore[method-assign]
     trainer = make(clerk, agent={"episodes_at_once": 1}, feedback=REMEMBERING)
     for _ in range(2):
-        trainer._round()
+        trainer.collect()
     first = clerk.asked[0]
-    np.testing.assert_array_equal(trainer._batch.poses[0], first.reached)
+    np.testing.assert_array_equal(trainer.env.episodes.poses[0], first.reached)
     assert len(clerk.asked) == 2
 
 
@@ -271,7 +272,7 @@ def test_a_better_action_is_taken_next_even_if_it_was_passed_over(make: Make) ->
 def test_a_spent_budget_asks_no_more(make: Make, workcell: Workcell, when_spent: str) -> None:
     trainer = assert_spends_its_budget(make, Scripted(ScriptedOracle(workcell.task), {}), when_spent)
     substituted = trainer.feedback.substituted
-    assert trainer.history.judged[ASKED] == 5 + substituted
+    assert trainer.history.labelled[ASKED] == 5 + substituted
     if when_spent != "stop":
         assert trainer.env_steps >= 300 or len(trainer.history.rewards) >= 60
 
@@ -288,8 +289,8 @@ def test_an_oracle_that_never_answers_does_not_keep_training_for_ever(make: Make
     trainer = make(Clerk(lambda question: None), train={"max_episodes": 20}, feedback=feedback)
     trainer.run()
     assert 20 <= len(trainer.history.rewards) <= 24
-    assert len(trainer.feedback.memory) == 0
-    assert trainer.history.judged[ASKED] == 0
+    assert len(trainer.feedback.answers) == 0
+    assert trainer.history.labelled[ASKED] == 0
 
 
 def test_skipped_questions_are_no_contradiction(make: Make) -> None:
@@ -304,8 +305,8 @@ def test_skipped_questions_are_no_contradiction(make: Make) -> None:
 
     trainer = make(Clerk(rule), train={"max_episodes": 8}, feedback=REMEMBERING)
     trainer.run()
-    assert trainer.feedback.memory.contradictions == 0
-    assert len(trainer.feedback.memory) == len(said) > 0
+    assert trainer.feedback.answers.contradictions == 0
+    assert len(trainer.feedback.answers) == len(said) > 0
 
 
 def test_what_a_contradiction_forgets_is_not_known_to_other_episodes_of_the_round(
@@ -314,11 +315,11 @@ def test_what_a_contradiction_forgets_is_not_known_to_other_episodes_of_the_roun
     trainer = make(Clerk(lambda question: False), feedback=REMEMBERING)
     here, beside = trajectories[0][100], trajectories[0][101]
     ask(trainer, here, 5)
-    assert trainer.feedback.judge(beside[None], np.array([0])).known[0, 5]
+    assert trainer.feedback.evaluate_actions(beside[None], np.array([0])).known[0, 5]
     changes = trainer.feedback.changes
     trainer.feedback.contradict(here)
     assert trainer.feedback.changes == changes + 1, "whoever has judged before must judge anew"
-    assert not trainer.feedback.judge(beside[None], np.array([0])).known[0, 5]
+    assert not trainer.feedback.evaluate_actions(beside[None], np.array([0])).known[0, 5]
     trainer.feedback.contradict(here)
     assert trainer.feedback.changes == changes + 1, "nothing is left to forget"
 
@@ -326,7 +327,7 @@ def test_what_a_contradiction_forgets_is_not_known_to_other_episodes_of_the_roun
 def test_an_oracle_that_says_no_to_everything_contradicts_itself(make: Make) -> None:
     trainer = make(Clerk(lambda question: False), train={"max_episodes": 8}, feedback=REMEMBERING)
     trainer.run()
-    assert trainer.feedback.memory.contradictions >= 8
+    assert trainer.feedback.answers.contradictions >= 8
 
 
 def undoing(workcell: Workcell) -> Oracle:
@@ -363,7 +364,7 @@ def test_a_killed_run_with_answers_remembered_extended_and_withdrawn_goes_on_as_
     whole.run(save_once)
     assert saved
     assert saved[0] < whole.questions, "some answers must come after the checkpoint"
-    assert len(whole.feedback.memory) > 0
+    assert len(whole.feedback.answers) > 0
     checkpoint = read_checkpoint(tmp_path, SHAPED_BY)
     assert checkpoint is not None
     answered = int(checkpoint.arrays["feedback/questions"])
@@ -399,7 +400,7 @@ def test_after_a_no_the_same_place_is_asked_about_until_something_is_right(make:
 
     clerk = Clerk(rule)
     trainer = make(clerk, feedback=FORGETFUL)
-    trainer._round()
+    trainer.collect()
     places = [tuple(question.pose.tolist()) for question in clerk.asked]
     # Four episodes side by side, in three questions each, one place after the other.
     assert len(clerk.asked) == 12
@@ -426,16 +427,16 @@ def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_vouch_for(
     )
     trust = replace(reward.trust, doubt=np.full_like(reward.trust.doubt, 0.5))
     trainer.feedback.reward = IntentReward(reward.task, reward.model, trust, reward.settings)
-    trainer._batch.poses[0] = trainer._batch.starts[0] = trajectories[0][60]
-    judged = trainer._judge()
+    trainer.env.episodes.poses[0] = trainer.env.episodes.starts[0] = trajectories[0][60]
+    judged = trainer.env.evaluate_actions()
     assert (judged.source == ASKED).any(), "some action must be left to ask about"
     trainer.workcell = replace(workcell, reachability=_Refusing())  # type: ignore[arg-type]
-    number = trainer._batch.numbers[0]
+    number = trainer.env.episodes.numbers[0]
     for _ in range(10):
-        trainer._round()
-        if trainer._batch.numbers[0] != number:
+        trainer.collect()
+        if trainer.env.episodes.numbers[0] != number:
             break
-    assert trainer._batch.numbers[0] != number, "the episode ends there"
+    assert trainer.env.episodes.numbers[0] != number, "the episode ends there"
     assert not clerk.asked
 
 

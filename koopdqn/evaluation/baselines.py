@@ -227,8 +227,8 @@ class BestByReward:
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        judgement = self.reward.judge(poses, np.zeros(len(poses), dtype=np.int64), starts)
-        return np.asarray(judgement.reward.argmax(axis=1))
+        evaluation = self.reward.evaluate_actions(poses, np.zeros(len(poses), dtype=np.int64), starts)
+        return np.asarray(evaluation.reward.argmax(axis=1))
 
 
 def constant_action(workcell: Workcell, starts: Array, joints: Array, step_limit: int) -> list[Episode]:

@@ -114,7 +114,7 @@ def _trusted_right(reward: IntentReward, trajectories: list[Array]) -> float | N
     right = of = 0
     for rows in trajectories:
         before, starts = rows[:-1], np.repeat(rows[:1], len(rows) - 1, axis=0)
-        judged = reward.judge(before, np.arange(len(before)), starts)
+        judged = reward.evaluate_actions(before, np.arange(len(before)), starts)
         wished = demonstrator_wishes(reward.task, before, starts)
         agrees = within_tolerance(judged.reached, wished[:, None], reward.task) == (judged.reward >= 0)
         trusted = judged.source == TRUSTED

@@ -49,10 +49,13 @@ class RewardSettings(Settings):
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ActionEvaluation:
     """What is known, without asking, of all ten actions from each of N poses.
 
     Attributes:
+        poses: (N, 7) before the actions.
+        starts: (N, 7) where their episodes began.
+        steps: (N,) steps that their episodes made before.
         reached: (N, 10, 7) poses the actions reach.
         placed: (N, 7) the poses themselves, as the model's frame tells them.
         placed_reached: (N, 10, 7) the same of those reached.
@@ -66,6 +69,9 @@ class Judgement:
         answer: (N, 10) number of the answer that the reward rests on, or −1.
     """
 
+    poses: Array
+    starts: Array
+    steps: np.ndarray
     reached: Array
     placed: Array
     placed_reached: Array
@@ -76,6 +82,13 @@ class Judgement:
     margin: Array
     at_goal: np.ndarray
     answer: np.ndarray
+
+    def set_label(self, row: int, action: int, reward: float, source: int, answer: int = NO_ANSWER) -> None:
+        """Give an action from a pose, by its row, a reward that is known from now on."""
+        self.reward[row, action] = reward
+        self.source[row, action] = source
+        self.answer[row, action] = answer
+        self.known[row, action] = True
 
 
 class IntentReward:
@@ -114,7 +127,7 @@ class IntentReward:
         """Return the reward of an answer."""
         return self.settings.size * (1.0 if right else -1.0) + (self.settings.goal if right and at_goal else 0.0)
 
-    def judge(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> Judgement:
+    def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
         """Return what is known of all ten actions from poses (N, 7) after ``steps`` (N,) steps.
 
         Args:
@@ -147,7 +160,10 @@ class IntentReward:
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
         source = np.select([wrong, shown & certain, answered & certain], [RULE, TRUSTED, CERTIFIED], ASKED)
         margin = np.where(wrong, -np.inf, margin)
-        return Judgement(
+        return ActionEvaluation(
+            poses,
+            np.broadcast_to(self.task.nominal_start, poses.shape) if starts is None else starts,
+            steps,
             reached,
             placed,
             placed_reached,
@@ -184,7 +200,7 @@ def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:
     (``Task`` limits the step so), so the best one needs no certainty.
 
     Args:
-        margin: (N, 10) as :attr:`Judgement.margin`.
+        margin: (N, 10) as :attr:`ActionEvaluation.margin`.
         doubt: the share, one or (N, 10).
     """
     best = margin == margin.max(axis=1, keepdims=True)

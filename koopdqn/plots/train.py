@@ -102,7 +102,7 @@ def _loss(axes: Axes, history: History) -> None:
 
 def _rewards_given(axes: Axes, history: History) -> None:
     names = [name for i, name in enumerate(SOURCES) if i != RULE]
-    counts = [int(history.judged[SOURCES.index(name)]) for name in names]
+    counts = [int(history.labelled[SOURCES.index(name)]) for name in names]
     axes.barh(names, counts, color=[_SOURCE_COLOURS[name] for name in names], height=0.6)
     total = max(sum(counts), 1)
     for row, count in enumerate(counts):

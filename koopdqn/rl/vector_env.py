@@ -1,22 +1,27 @@
-"""Episodes that run side by side: where each arm is, what it has tried there, and how it moves on."""
+"""The environment of Algorithm 1: episodes side by side, in each of which one action at a time is tried."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.pose import Array, turned_toward
+from koopdqn.intent.reward import ASKED, RULE, ActionEvaluation
+from koopdqn.oracles.base import Question
+from koopdqn.pose import Array
+from koopdqn.rl.human_reward import Feedback
+from koopdqn.rl.labels import Labelled
+from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
+from koopdqn.rl.starts import Beginning, StartSampler
 from koopdqn.tasks.actions import COUNT
-from koopdqn.tasks.reachability import Motion, Reachability
-from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.reachability import Motion
+from koopdqn.tasks.workcell import Workcell
 
-_MOST_DRAWS = 1000
-_MOST_REGIONS = 20
+# Below this [m, or of a quaternion's entries] two poses are one.
+_SAME = 1e-12
 
 
 @dataclass
-class EpisodeBatch:
+class Episodes:
     """The state of N episodes, as arrays over episodes.
 
     Attributes:
@@ -26,9 +31,9 @@ class EpisodeBatch:
         steps: (N,) steps made.
         limits: (N,) steps after which each is truncated.
         numbers: (N,) which episode each is, counted from 0 over the whole run.
-        rewards: (N,) reward gathered.
+        rewards: (N,) sum of the rewards so far.
         tried: (N, 10) wrong actions already tried from the present pose.
-        stored: (N, 10) actions from the present pose whose experience is stored already.
+        stored: (N, 10) actions from the present pose whose transitions are stored already.
         exploring: (N,) whether it is a short episode for exploring.
     """
 
@@ -44,7 +49,7 @@ class EpisodeBatch:
     exploring: np.ndarray
 
     @classmethod
-    def empty(cls, count: int) -> "EpisodeBatch":
+    def empty(cls, count: int) -> "Episodes":
         """Return room for ``count`` episodes that have not begun."""
         return cls(
             poses=np.zeros((count, 7)),
@@ -62,6 +67,18 @@ class EpisodeBatch:
     def __len__(self) -> int:
         """Return the number of episodes."""
         return len(self.poses)
+
+    def begin(self, index: int, number: int, beginning: Beginning) -> None:
+        """Begin episode ``number`` of the run at ``index``."""
+        self.poses[index], self.starts[index] = beginning.pose, beginning.start
+        self.joints[index] = beginning.joints
+        self.steps[index] = 0
+        self.limits[index] = beginning.limit
+        self.numbers[index] = number
+        self.rewards[index] = 0.0
+        self.tried[index] = False
+        self.stored[index] = False
+        self.exploring[index] = beginning.exploring
 
     def move(self, index: int, pose: Array, joints: Array) -> None:
         """Take episode ``index`` to a pose (7,) with joints (6,)."""
@@ -86,94 +103,157 @@ class EpisodeBatch:
             getattr(self, name)[...] = state[name]
 
 
-@dataclass
-class StartSampler:
-    """Draws where episodes begin: in and around the task's start region, or somewhere along a demonstration.
-
-    Some episodes are exploring ones, cut after a few steps. Beginning along the demonstrations shows the
-    agent the whole tube from the first moment, and what to do a little beside the path, where its own
-    mistakes will take it; beginning often in and around the start region shows it that region's corners, and the way
-    from farther out.
+@dataclass(frozen=True)
+class Attempt:
+    """What came of an action that was tried.
 
     Attributes:
-        task: gives the start region.
-        reachability: refuses what the arm cannot take.
-        frame: in which demonstrations are told.
-        trajectories: demonstrated poses (N, 7) at the agent's step, placed there.
-        share: share of exploring starts.
-        region_share: share of the exploring starts that lie in and around the start region, as all others do.
-        region_scale: how many times wider than the start region those may lie.
-        spread: standard deviation of the other starts' offset from a demonstration [m].
-        spread_rad: of how far their turn toward the goal's orientation is ahead [rad].
-        exploring_steps: step limit of exploring episodes.
-        step_limit: step limit of the others.
-        refused: how many draws were drawn again.
+        reward: its reward; None if it has none, because the question was skipped or put off.
+        asked: whether it was asked about just now.
+        new: whether its transition is to be stored: it has a reward and was not labelled before.
+        at_goal: whether it reached the goal, which ends the episode.
+        truncated: whether the episode ends for another reason: its step limit, or as many questions as it may put off.
     """
 
-    task: Task
-    reachability: Reachability
-    frame: StartFrame
-    trajectories: list[Array]
-    share: float
-    region_share: float
-    region_scale: float
-    spread: float
-    spread_rad: float
-    exploring_steps: int
-    step_limit: int
-    refused: int = field(default=0)
+    reward: float | None
+    asked: bool = False
+    new: bool = False
+    at_goal: bool = False
+    truncated: bool = False
 
-    def begin(self, batch: EpisodeBatch, index: int, number: int, rng: np.random.Generator) -> None:
-        """Begin episode ``number`` at ``index`` of a batch."""
-        batch.exploring[index] = rng.random() < self.share
-        if batch.exploring[index] and rng.random() >= self.region_share:
-            pose, start, motion = self._along_demonstration(rng)
+    @property
+    def ended(self) -> bool:
+        """Whether the episode is over."""
+        return self.at_goal or self.truncated
+
+
+class VectorEnv:
+    """N episodes of a task: an action that is right moves the arm, a wrong one is undone.
+
+    Attributes:
+        workcell: task, arm and scene.
+        feedback: the reward function and what answers have taught.
+        episodes: where the arms are.
+        put_off: questions that wait for the end of their episodes.
+        begun: episodes begun so far.
+    """
+
+    def __init__(
+        self,
+        workcell: Workcell,
+        feedback: Feedback,
+        starts: StartSampler,
+        count: int,
+        rng: np.random.Generator,
+        asking: Asking = Asking(),  # noqa: B008 (frozen)
+    ) -> None:
+        """Begin ``count`` episodes at what ``starts`` draws from ``rng``."""
+        self.workcell = workcell
+        self.feedback = feedback
+        self.episodes = Episodes.empty(count)
+        self.put_off = PutOffQuestions(asking, feedback, count)
+        self.begun = 0
+        self._starts = starts
+        self._rng = rng
+        for index in range(count):
+            self.begin(index)
+
+    def begin(self, index: int) -> None:
+        """Begin another episode at ``index``."""
+        self.episodes.begin(index, self.begun, self._starts.draw(self._rng))
+        self.begun += 1
+
+    def evaluate_actions(self) -> ActionEvaluation:
+        """Return what is known of all actions from where the episodes are."""
+        here = self.episodes
+        return self.feedback.evaluate_actions(here.poses.copy(), here.steps.copy(), here.starts.copy())
+
+    def try_action(
+        self,
+        index: int,
+        action: int,
+        evaluation: ActionEvaluation,
+        motion: Motion | None = None,
+        *,
+        ask: bool = False,
+    ) -> Attempt:
+        """Try an action of Table 1, given by its index, in an episode.
+
+        What the arm cannot do is wrong without a question. Where the reward is not known the oracle is asked.
+
+        Args:
+            index: of the episode.
+            action: which.
+            evaluation: of :meth:`evaluate_actions`; the label that the attempt brings is put into it.
+            motion: what becomes of the arm; None if that is not known yet.
+            ask: ask even where the reward is known.
+
+        Raises:
+            PauseRequested: who answers wants to go on another time.
+        """
+        episodes = self.episodes
+        motion = motion or self.workcell.reachability.move(evaluation.reached[index, action], episodes.joints[index])
+        asked = False
+        if motion.joints is None:
+            self.forbid(index, action, evaluation)
+        elif ask or not evaluation.known[index, action]:
+            if self.put_off.on:
+                return self._put_off(index, action, evaluation, motion.joints)
+            known = evaluation.source[index, action] != ASKED
+            attempt = self._open_attempt(index, action)
+            if not self.ask(question_about(attempt, self.feedback.reward, evaluation, index), evaluation, index):
+                episodes.tried[index, action] = True
+                return Attempt(None, asked=True)
+            asked = True
+            if known:
+                # It was stored as the model's own opinion; what a person says is stored beside it.
+                episodes.stored[index, action] = False
+        reward = float(evaluation.reward[index, action])
+        moves = motion.joints is not None and (reward >= 0 or not self.feedback.step_back)
+        at_goal = moves and bool(evaluation.at_goal[index, action])
+        truncated = moves and not at_goal and bool(episodes.steps[index] + 1 >= episodes.limits[index])
+        new = not episodes.stored[index, action]
+        episodes.stored[index, action] = True
+        episodes.rewards[index] += reward
+        if moves and motion.joints is not None:
+            episodes.move(index, evaluation.reached[index, action], motion.joints)
         else:
-            pose, motion = self._around_region(rng)
-            start = pose
-        assert motion.joints is not None  # both ways draw until the arm can
-        batch.poses[index], batch.starts[index], batch.joints[index] = pose, start, motion.joints
-        batch.steps[index] = 0
-        batch.limits[index] = self.exploring_steps if batch.exploring[index] else self.step_limit
-        batch.numbers[index] = number
-        batch.rewards[index] = 0.0
-        batch.tried[index] = False
-        batch.stored[index] = False
+            episodes.tried[index, action] = True
+        return Attempt(reward, asked, new, at_goal, truncated)
 
-    def _around_region(self, rng: np.random.Generator) -> tuple[Array, Motion]:
-        left = _MOST_REGIONS
-        while True:
-            # Regions evenly spread over their volumes: far corners are many, and draws crowd the middle all the same.
-            scale = (1.0 + (self.region_scale**3 - 1.0) * float(rng.random())) ** (1 / 3)
-            region = self.task.with_starts_scaled(scale)
-            left -= 1
-            try:
-                poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
-            except BadInputError:
-                # Far out there may be little that the arm can take, and more in a narrower region.
-                if not left:
-                    raise
-                continue
-            self.refused += refused
-            return poses[0], Motion(joints[0])
+    def forbid(self, index: int, action: int, evaluation: ActionEvaluation) -> None:
+        """Label an action of an episode as wrong by rule."""
+        evaluation.set_label(index, action, self.feedback.reward.value(False, False), RULE)
 
-    def _along_demonstration(self, rng: np.random.Generator) -> tuple[Array, Array, Motion]:
-        for _ in range(_MOST_DRAWS):
-            trajectory = self.trajectories[rng.integers(len(self.trajectories))]
-            index = rng.integers(len(trajectory))
-            pose = trajectory[index].copy()
-            pose[:3] += rng.normal(scale=self.spread, size=3)
-            if self.task.orientation == "learned":
-                # A turn that runs ahead of the position or behind it.
-                ahead = rng.normal(scale=self.spread_rad)
-                pose[3:] = turned_toward(pose[3:], self.task.goal[3:], ahead)
-            start = self.task.draw_starts(rng, 1)[0]
-            pose = self.frame.unplaced(pose[None], start[None], pose[None])[0]
-            motion = self.reachability.enter(pose)
-            if motion.joints is not None and not self.task.reached(pose[None])[0]:
-                return pose, start, motion
-            self.refused += 1
-        raise WorkFailedError(
-            f"task {self.task.name}: the arm must be able to begin along the demonstrations,"
-            f" found {_MOST_DRAWS} draws in a row refused"
+    def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
+        """Ask; return whether there was an answer (a skip is not a no), which then stands in a row of an evaluation."""
+        outcome = self.feedback.ask(question, evaluation, row)
+        placed = self.feedback.reward.model.start_frame.placed(self.episodes.poses, self.episodes.starts)
+        for point, action in outcome.reopened:
+            # To rounding: places that are told from another start are computed anew.
+            self.episodes.reopen(np.abs(placed - point).max(axis=1) < _SAME, action)
+        return outcome.right is not None
+
+    def answer_put_off(self, index: int) -> Iterator[Labelled]:
+        """Ask what an episode has put off, and yield the label of each attempt as soon as it is known.
+
+        Raises:
+            PauseRequested: who answers wants to go on another time.
+        """
+        for labelled in answered(self.put_off.take(index), self.feedback, self.ask, int(self.episodes.limits[index])):
+            self.episodes.rewards[index] += float(labelled.rewards[0])
+            yield labelled
+
+    def _put_off(self, index: int, action: int, evaluation: ActionEvaluation, joints: Array) -> Attempt:
+        """Keep a question for the end of its episode; until then its action is provisionally treated as right."""
+        full = self.put_off.add(index, self._open_attempt(index, action))
+        self.episodes.move(index, evaluation.reached[index, action], joints)
+        at_goal = bool(evaluation.at_goal[index, action])
+        return Attempt(
+            None, at_goal=at_goal, truncated=full or bool(self.episodes.steps[index] >= self.episodes.limits[index])
         )
+
+    def _open_attempt(self, index: int, action: int) -> OpenAttempt:
+        here = self.episodes
+        places = here.poses[index].copy(), here.starts[index].copy()
+        return OpenAttempt(int(here.numbers[index]), int(here.steps[index]), *places, action)

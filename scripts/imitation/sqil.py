@@ -12,12 +12,12 @@ from imitation.inferred import demonstrated_transitions
 from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import Learner
-from koopdqn.rl.exploring import start_sampler
 from koopdqn.rl.network import observe, size
 from koopdqn.rl.policy import Policy
 from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
 from koopdqn.rl.settings import AgentSettings
-from koopdqn.rl.vector_env import EpisodeBatch
+from koopdqn.rl.starts import StartSampler
+from koopdqn.rl.vector_env import Episodes
 from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.workcell import Workcell
@@ -75,8 +75,8 @@ class Sqil:
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
-        self._starts = start_sampler(workcell, frame, frame.each(trajectories), agent, step_limit)
-        self._batch = EpisodeBatch.empty(agent.episodes_at_once)
+        self._starts = StartSampler.of_agent(workcell, frame, frame.each(trajectories), agent, step_limit)
+        self._batch = Episodes.empty(agent.episodes_at_once)
         self._begun = 0
         for index in range(len(self._batch)):
             self._begin(index)
@@ -124,7 +124,7 @@ class Sqil:
         )
 
     def _begin(self, index: int) -> None:
-        self._starts.begin(self._batch, index, self._begun, self._explore)
+        self._batch.begin(index, self._begun, self._starts.draw(self._explore))
         self._begun += 1
 
     def _round(self) -> None:

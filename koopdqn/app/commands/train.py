@@ -16,12 +16,12 @@ from koopdqn.oracles.journal import JOURNAL, JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
-from koopdqn.rl.experience import Asking
+from koopdqn.rl.footprint import check_memory
 from koopdqn.rl.history import Check
 from koopdqn.rl.human_reward import Budget
-from koopdqn.rl.memory import check_memory
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
+from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 
 POLICY = "policy.safetensors"
@@ -105,14 +105,14 @@ def _progress(trainer: Trainer, check: Check | None) -> str:
 def train_report(config: Configuration, trainer: Trainer, seconds: float, made_from: dict[str, str]) -> dict[str, Any]:
     """Return the content of ``train.json``."""
     history = trainer.history
-    asked_or_trusted = int(history.judged[1:].sum())
+    asked_or_trusted = int(history.labelled[1:].sum())
     content = {
         "task": config.task.name,
         "seed": config.inputs.seed,
         "agent": config.agent.name,
         "intent": config.intent.name,
         "learned": trainer.learned,
-        "learned_at_env_steps": trainer.learned_at if trainer.learned else None,
+        "learned_at_env_steps": trainer.progress.learned_at if trainer.learned else None,
         "seconds": seconds,
         "episodes": len(history.rewards),
         "env_steps": trainer.env_steps,
@@ -120,9 +120,9 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "oracle_queries": trainer.questions,
         "budget_spent": trainer.feedback.spent,
         "answered_instead": trainer.feedback.substituted,
-        "contradictions": trainer.feedback.memory.contradictions,
+        "contradictions": trainer.feedback.answers.contradictions,
         "rewards_recomputed": trainer.feedback.recomputed,
-        "trusted_fraction": float(history.judged[list(BY_MODEL)].sum() / asked_or_trusted)
+        "trusted_fraction": float(history.labelled[list(BY_MODEL)].sum() / asked_or_trusted)
         if asked_or_trusted
         else None,
         "reward_agreement": history.agreement(),
@@ -130,8 +130,8 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "reward_per_episode": history.rewards,
         "steps_per_episode": history.lengths,
         "exploring_episode": history.exploring,
-        "best_success_rate": max(trainer.best_success, 0.0),
-        "best_update": trainer.best_update,
+        "best_success_rate": max(trainer.progress.best_success, 0.0),
+        "best_update": trainer.progress.best_update,
         "step_limit": trainer.step_limit,
         "checks": [vars(check) for check in history.checks],
         "threads": config.train.threads,
@@ -162,7 +162,7 @@ def _cut_short(trainer: Trainer) -> list[str]:
     settings = trainer.settings
     if settings.stop == "learned" or not trainer.learned:
         return []
-    reached = trainer.env_steps / trainer.learned_at
+    reached = trainer.env_steps / trainer.progress.learned_at
     if reached >= settings.extend or trainer.feedback.stopped:
         return []
     name = "max_steps" if trainer.env_steps >= settings.max_steps else "max_episodes"

@@ -1,4 +1,4 @@
-"""Questions gathered during episodes and asked when these end."""
+"""Questions put off during episodes and asked when these end."""
 
 import hashlib
 import json
@@ -34,7 +34,8 @@ from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.rl.experience import Asking, Gathering, Trial, Tries, question_about, settled
+from koopdqn.rl.labels import Labelled
+from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
 from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]
@@ -67,19 +68,19 @@ def stored(trainer: Trainer, source: int) -> list[tuple[int, int, tuple[float, .
     return [(step, action, tuple(pose)) for step, action, pose in zip(*columns, strict=True)]
 
 
-def walk(trainer: Trainer, start: Array, count: int, action: int | None = None) -> list[Trial]:
-    """Return trials of an action, or of the likeliest, one after another from a pose (7,) on."""
-    trials: list[Trial] = []
+def walk(trainer: Trainer, start: Array, count: int, action: int | None = None) -> list[OpenAttempt]:
+    """Return attempts at an action, or of the likeliest, one after another from a pose (7,) on."""
+    attempts: list[OpenAttempt] = []
     pose = start
     for step in range(count):
-        judged = trainer.feedback.judge(pose[None], np.array([step]))
-        trials.append(Trial(3, step, pose, start, int(judged.margin[0].argmax()) if action is None else action))
-        pose = judged.reached[0, trials[-1].action]
-    return trials
+        judged = trainer.feedback.evaluate_actions(pose[None], np.array([step]))
+        attempts.append(OpenAttempt(3, step, pose, start, int(judged.margin[0].argmax()) if action is None else action))
+        pose = judged.reached[0, attempts[-1].action]
+    return attempts
 
 
-def settle(trainer: Trainer, trials: list[Trial], limit: int = 100) -> list[Tries]:
-    return list(settled(trials, trainer.feedback, trainer._ask, limit))
+def settle(trainer: Trainer, attempts: list[OpenAttempt], limit: int = 100) -> list[Labelled]:
+    return list(answered(attempts, trainer.feedback, trainer.env.ask, limit))
 
 
 @pytest.mark.parametrize("feedback", [FORGETFUL, NEAR_ONLY, {}])
@@ -154,7 +155,7 @@ def test_a_skip_stores_nothing_and_the_next_is_asked(make: Make) -> None:
     silent = make(Clerk(lambda asked: None), train={"max_episodes": 20, "max_steps": 10**6}, feedback=FORGETFUL)
     silent.run()
     assert 20 <= len(silent.history.rewards) <= 24
-    assert silent.history.judged[ASKED] == 0
+    assert silent.history.labelled[ASKED] == 0
 
 
 @pytest.mark.parametrize("most", [1, 3])
@@ -169,29 +170,29 @@ def test_so_many_questions_end_an_episode(make: Make, most: int) -> None:
 def test_what_a_yes_settles_is_not_asked_but_stored(make: Make, trajectories: list[Array]) -> None:
     clerk = Clerk()
     trainer = make(clerk, feedback={"reach_m": 0.02})
-    trials = walk(trainer, trajectories[0][60], 6)
-    found = settle(trainer, trials)
+    attempts = walk(trainer, trajectories[0][60], 6)
+    found = settle(trainer, attempts)
     assert [asked.step for asked in clerk.asked] == [0]
     assert clerk.asked[0].place == Place(1, 1)
-    sources = [int(tries.judgement.source[tries.rows[0], tries.actions[0]]) for tries in found]
+    sources = [int(each.evaluation.source[each.rows[0], each.actions[0]]) for each in found]
     assert sources == [ASKED] + 5 * [CERTIFIED]
-    assert all(tries.rewards[0] > 0 for tries in found)
-    for tries, trial in zip(found, trials, strict=True):
-        assert tries.steps[0] == trial.step
-        np.testing.assert_array_equal(tries.poses[0], trial.pose)
-        np.testing.assert_array_equal(tries.starts[0], trial.start)
-        assert tries.actions[0] == trial.action
+    assert all(each.rewards[0] > 0 for each in found)
+    for each, attempt in zip(found, attempts, strict=True):
+        assert each.evaluation.steps[each.rows[0]] == attempt.step
+        np.testing.assert_array_equal(each.evaluation.poses[each.rows[0]], attempt.pose)
+        np.testing.assert_array_equal(each.evaluation.starts[each.rows[0]], attempt.start)
+        assert each.actions[0] == attempt.action
 
 
 def test_a_remembered_no_ends_a_later_batch_without_a_question(make: Make, trajectories: list[Array]) -> None:
     clerk = Clerk(lambda asked: False)
     trainer = make(clerk, feedback={"extend": False, "remember_m": 0.004})
-    trials = walk(trainer, trajectories[0][60], 4, 5)
-    assert [float(tries.rewards[0]) for tries in settle(trainer, trials)] == [-1.0]
-    again = settle(trainer, trials)
+    attempts = walk(trainer, trajectories[0][60], 4, 5)
+    assert [float(each.rewards[0]) for each in settle(trainer, attempts)] == [-1.0]
+    again = settle(trainer, attempts)
     assert len(clerk.asked) == 1
     assert len(again) == 1
-    assert again[0].judgement.source[0, 5] == REMEMBERED
+    assert again[0].evaluation.source[0, 5] == REMEMBERED
 
 
 @pytest.mark.parametrize(("reach", "last"), [(0.0001, 1), (0.003, 2), (0.006, 3)])
@@ -200,27 +201,27 @@ def test_only_questions_that_a_yes_would_not_settle_count(
 ) -> None:
     """The second question of steps of 2.1 mm along one axis is the first beyond the reach of a yes to the first."""
     trainer = make(feedback={"reach_m": reach})
-    trials = walk(trainer, trajectories[0][60], 4, 8)
-    gathering = Gathering(Asking("episode", 2), trainer.feedback, 2)
-    full = [gathering.add(1, trial) for trial in trials]
+    attempts = walk(trainer, trajectories[0][60], 4, 8)
+    put_off = PutOffQuestions(Asking("episode", 2), trainer.feedback, 2)
+    full = [put_off.add(1, attempt) for attempt in attempts]
     assert full.index(True) == last
-    restored = Gathering(Asking("episode", 2), trainer.feedback, 2)
-    restored.restore(gathering.state())
-    assert restored.take(0) == gathering.take(0) == []
-    for one, two in zip(restored.take(1), trials, strict=True):
+    restored = PutOffQuestions(Asking("episode", 2), trainer.feedback, 2)
+    restored.restore(put_off.state())
+    assert restored.take(0) == put_off.take(0) == []
+    for one, two in zip(restored.take(1), attempts, strict=True):
         assert (one.episode, one.step, one.action) == (two.episode, two.step, two.action)
         np.testing.assert_array_equal(one.pose, two.pose)
         np.testing.assert_array_equal(one.start, two.start)
-    assert gathering.take(1)
+    assert put_off.take(1)
     assert len(restored.state()["rows"]) == 0, "what was taken is held no more"
 
 
 def test_an_episode_cut_at_its_limit_says_so(make: Make, trajectories: list[Array]) -> None:
     trainer = make(Clerk(), feedback=FORGETFUL)
     found = settle(trainer, walk(trainer, trajectories[0][60], 4, 8), limit=4)
-    assert [tries.cut for tries in found] == [False, False, False, True]
+    assert [each.truncated for each in found] == [False, False, False, True]
     wrong = make(Clerk(lambda asked: asked.step < 3), feedback=FORGETFUL)
-    assert not any(tries.cut for tries in settle(wrong, walk(wrong, trajectories[0][60], 4, 8), limit=4))
+    assert not any(each.truncated for each in settle(wrong, walk(wrong, trajectories[0][60], 4, 8), limit=4))
 
 
 @pytest.mark.parametrize("when_spent", ["stop", "distrust", "scripted"])
@@ -253,7 +254,7 @@ def test_a_run_killed_with_questions_pending_or_replayed_ends_as_if_never_stoppe
     saved: list[int] = []
 
     def save_once(_: object) -> None:
-        if not saved and whole.questions > 8 and len(whole.state()[0]["gathered/rows"]) > 3:
+        if not saved and whole.questions > 8 and len(whole.state()[0]["put_off/rows"]) > 3:
             saved.append(whole.questions)
             save_checkpoint(tmp_path, whole, SHAPED_BY, 0.0)
 
@@ -263,7 +264,7 @@ def test_a_run_killed_with_questions_pending_or_replayed_ends_as_if_never_stoppe
     assert any(record.withdrawn for record in read_records(journal).items)
     checkpoint = read_checkpoint(tmp_path, SHAPED_BY)
     assert checkpoint is not None
-    assert len(checkpoint.arrays["gathered/poses"]) > 3
+    assert len(checkpoint.arrays["put_off/poses"]) > 3
     written = journal.read_bytes()
     rest = make(JournalledOracle(undoing(workcell), journal, saved[0]), **settings)
     rest.restore(checkpoint.arrays, checkpoint.about["state"])
@@ -296,8 +297,8 @@ def test_a_run_killed_with_questions_pending_or_replayed_ends_as_if_never_stoppe
 
 def test_a_question_says_its_place_to_people_and_programs(parts: Parts, make: Make, trajectories: list[Array]) -> None:
     trainer, point = make(), trajectories[0][60]
-    judged = trainer.feedback.judge(point[None], np.array([7]))
-    asked = question_about(Trial(12, 7, point, point, 8), trainer.feedback.reward, judged, 0, Place(2, 5))
+    judged = trainer.feedback.evaluate_actions(point[None], np.array([7]))
+    asked = question_about(OpenAttempt(12, 7, point, point, 8), trainer.feedback.reward, judged, 0, Place(2, 5))
     for place, said in ((Place(2, 5), "Question 2 of about 5 in the episode"), (None, "")):
         each = replace(asked, place=place)
         assert wording.place(each) == said
@@ -314,8 +315,10 @@ def test_the_longest_question_of_a_batch_fits_a_small_screen(
     parts: Parts, make: Make, trajectories: list[Array], action: int
 ) -> None:
     trainer, point = make(), trajectories[0][60]
-    judged = trainer.feedback.judge(point[None], np.array([107]))
-    plain = question_about(Trial(1234, 107, point, point, action), trainer.feedback.reward, judged, 0, Place(12, 15))
+    judged = trainer.feedback.evaluate_actions(point[None], np.array([107]))
+    plain = question_about(
+        OpenAttempt(1234, 107, point, point, action), trainer.feedback.reward, judged, 0, Place(12, 15)
+    )
     asked = replace(
         plain,
         reason="x is 14.1 standard deviations from the demonstrations (limit 3)",

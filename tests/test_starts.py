@@ -3,7 +3,8 @@ import pytest
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.rl.vector_env import EpisodeBatch, StartSampler
+from koopdqn.rl.starts import StartSampler
+from koopdqn.rl.vector_env import Episodes
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.workcell import Workcell
 
@@ -19,10 +20,10 @@ def wide(workcell: Workcell, trajectories: list[Array], share: float, scale: flo
     return StartSampler(workcell.task, workcell.reachability, STILL, trajectories, share, 1.0, scale, *SPREAD, 40, 750)
 
 
-def begun(starts: StartSampler, count: int, seed: int = 0) -> EpisodeBatch:
-    batch, rng = EpisodeBatch.empty(count), np.random.default_rng(seed)
+def begun(starts: StartSampler, count: int, seed: int = 0) -> Episodes:
+    batch, rng = Episodes.empty(count), np.random.default_rng(seed)
     for index in range(count):
-        starts.begin(batch, index, 100 + index, rng)
+        batch.begin(index, 100 + index, starts.draw(rng))
     return batch
 
 
@@ -105,9 +106,9 @@ def test_every_start_is_one_the_arm_can_take_and_no_goal(workcell: Workcell, tra
 
 
 def test_beginning_wipes_what_was(workcell: Workcell, trajectories: list[Array]) -> None:
-    batch = EpisodeBatch.empty(2)
+    batch = Episodes.empty(2)
     batch.steps[:], batch.rewards[:], batch.tried[:], batch.stored[:] = 9, 9.0, True, True
-    sampler(workcell, trajectories, 0.0).begin(batch, 1, 7, np.random.default_rng(0))
+    batch.begin(1, 7, sampler(workcell, trajectories, 0.0).draw(np.random.default_rng(0)))
     assert (batch.steps[1], batch.rewards[1], batch.numbers[1]) == (0, 0.0, 7)
     assert not batch.tried[1].any()
     assert not batch.stored[1].any()
@@ -138,7 +139,7 @@ def test_reopening_lets_the_episodes_that_are_there_try_one_action_anew(
 
 
 def test_a_restored_batch_is_the_same_and_apart(workcell: Workcell, trajectories: list[Array]) -> None:
-    old, new = begun(sampler(workcell, trajectories, 0.5, 0.5), 5), EpisodeBatch.empty(5)
+    old, new = begun(sampler(workcell, trajectories, 0.5, 0.5), 5), Episodes.empty(5)
     state = old.state()
     new.restore(state)
     for name, values in old.state().items():

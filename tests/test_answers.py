@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.rl.human_reward import AnswerMemory, FeedbackSettings
+from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
 
 NEAR, TURN, ACTIONS = 0.002, 0.05, 10
 MARGINS = [-0.6, -0.1, 0.0, 0.2, 0.7]
@@ -31,8 +31,8 @@ given_answers = st.lists(
 )
 
 
-def memory_of(answers: list[tuple[float, float, int, bool, float]]) -> AnswerMemory:
-    memory = AnswerMemory(SETTINGS)
+def memory_of(answers: list[tuple[float, float, int, bool, float]]) -> RememberedAnswers:
+    memory = RememberedAnswers(SETTINGS)
     for number, (x, turn, action, right, margin) in enumerate(answers):
         memory.add(
             3 * number,
@@ -46,7 +46,7 @@ def memory_of(answers: list[tuple[float, float, int, bool, float]]) -> AnswerMem
     return memory
 
 
-def assert_same(one: AnswerMemory, two: AnswerMemory) -> None:
+def assert_same(one: RememberedAnswers, two: RememberedAnswers) -> None:
     assert one.state().keys() == two.state().keys()
     for name, values in one.state().items():
         np.testing.assert_array_equal(values, two.state()[name], err_msg=name)
@@ -96,7 +96,7 @@ def test_every_pose_is_recalled_for_itself() -> None:
 
 
 def test_without_a_radius_nothing_is_recalled() -> None:
-    memory = AnswerMemory(SETTINGS.model_copy(update={"remember_m": 0.0}))
+    memory = RememberedAnswers(SETTINGS.model_copy(update={"remember_m": 0.0}))
     memory.add(0, HERE, 4, beside(1.0), right=True, margin=0.5, expected=True)
     assert (memory.recall(HERE[None], np.zeros((1, ACTIONS))) == -1).all()
 
@@ -107,7 +107,7 @@ def test_withdrawing_forgets_exactly_the_answers_of_those_numbers(
 ) -> None:
     memory = memory_of(answers)
     memory.withdraw({3 * number for number in gone})
-    rest = AnswerMemory(SETTINGS)
+    rest = RememberedAnswers(SETTINGS)
     for number, (x, turn, action, right, margin) in enumerate(answers):
         if number not in gone:
             there, expected = beside(x + 1.0, turn), margin >= 0
@@ -146,7 +146,7 @@ def test_an_extension_tells_the_yeses_that_the_model_expected_from_the_others(
 def test_a_restored_memory_is_the_same_and_goes_on_alike(
     answers: list[tuple[float, float, int, bool, float]], x: float
 ) -> None:
-    old, new = memory_of(answers), AnswerMemory(SETTINGS)
+    old, new = memory_of(answers), RememberedAnswers(SETTINGS)
     new.restore({name: values.copy() for name, values in old.state().items()})
     assert_same(old, new)
     for memory in (old, new):
@@ -168,7 +168,7 @@ def test_what_is_remembered_is_a_fact_of_its_own_time(right: bool) -> None:
 
 
 def test_a_place_is_hopeless_only_where_a_person_said_no_and_until_an_answer_is_withdrawn() -> None:
-    memory = AnswerMemory(SETTINGS)
+    memory = RememberedAnswers(SETTINGS)
     memory.contradict(HERE)
     assert not memory.hopeless_near(HERE, 10.0)
     memory.add(0, HERE, 4, beside(1.0), right=False, margin=0.5, expected=True)

@@ -1,0 +1,169 @@
+"""Answers by pose and action: where each still holds."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.pose import Array
+from koopdqn.settings import Settings
+
+Row = tuple[float, ...]
+
+# Nearer than this [m, rad] two poses are one and the same.
+_SAME = 1e-6
+
+
+class FeedbackSettings(Settings):
+    """What is made of answers beyond the reward of the action asked about."""
+
+    remember_m: float = Field(
+        ge=0, le=0.5, description="an answer holds for the same action within this distance of its pose; 0: nowhere [m]"
+    )
+    remember_rad: float = Field(gt=0, le=3.2, description="and within this angle of its orientation [rad]")
+    extend: bool = Field(description="let a yes extend the trust domain and, where it disagrees, the intent model")
+    reach_m: float = Field(gt=0, le=0.5, description="radius of such an extension around the pose [m]")
+
+
+@dataclass
+class RememberedAnswers:
+    """Answers by pose and action, in the order in which they were given.
+
+    Attributes:
+        settings: how far an answer holds.
+        numbers: of the answers, as the journal counts them.
+        poses: (7,) that were asked about.
+        actions: that were asked about.
+        reached: poses (7,) after them.
+        right: what was said.
+        margins: of the intent model's own opinion when it was asked; at least 0: it had thought the action right.
+        expected: whether the model had thought it right and no other action more so.
+        contradictions: how often nothing was left that could have been right.
+        hopeless: poses (7,) where that was so.
+    """
+
+    settings: FeedbackSettings
+    numbers: list[int] = field(default_factory=list)
+    poses: list[Row] = field(default_factory=list)
+    actions: list[int] = field(default_factory=list)
+    reached: list[Row] = field(default_factory=list)
+    right: list[bool] = field(default_factory=list)
+    margins: list[float] = field(default_factory=list)
+    expected: list[bool] = field(default_factory=list)
+    contradictions: int = 0
+    hopeless: list[Row] = field(default_factory=list)
+    _stacked: Array | None = field(default=None, init=False, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        """Return the number of answers held."""
+        return len(self.numbers)
+
+    def add(
+        self, number: int, point: Array, action: int, reached: Array, *, right: bool, margin: float, expected: bool
+    ) -> None:
+        """Remember the answer of a number to a question about a pose (7,), an action and the pose it reached (7,)."""
+        # Rows of plain floats: thousands of small arrays kept would hold the allocator's larger blocks apart.
+        row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, margin, expected)
+        for values, value in zip(self._columns(), row, strict=True):
+            values.append(value)
+        self._stacked = None
+
+    def recall(self, poses: Array, margins: Array) -> np.ndarray:
+        """Return which answer holds for each of K actions from poses (N, 7): its place (N, K), or −1.
+
+        The nearest decides, of equally near ones the latest. The model may be off by some margin, about the same
+        nearby: a yes holds for what it thinks at least as right, a no for what it thinks at most as right.
+
+        Args:
+            poses: from which actions are tried.
+            margins: (N, K) of the model's opinion of them; at least 0: right.
+        """
+        found = np.full(margins.shape, -1)
+        if not len(self) or self.settings.remember_m == 0.0:
+            return found
+        known, actions = self._known, np.array(self.actions)
+        moved = pose.position_distance(poses[:, None], known[None])
+        turned = pose.rotation_distance(poses[:, None], known[None])
+        near = (moved <= self.settings.remember_m) & (turned <= self.settings.remember_rad)
+        opinion, then = margins[:, actions], np.array(self.margins)
+        holds = near & np.where(self.right, opinion >= then, opinion <= then)
+        holds |= (moved <= _SAME) & (turned <= _SAME)
+        for action in np.unique(actions[holds.any(axis=0)]):
+            gap = np.where(holds & (actions == action), moved, np.inf)[:, ::-1]
+            place = gap.shape[1] - 1 - gap.argmin(axis=1)
+            found[:, action] = np.where(np.isfinite(gap.min(axis=1)), place, -1)
+        return found
+
+    def extension(self) -> tuple[Array, Array, Array]:
+        """Return the poses (M, 7) of yeses that the model expected, and (D, 7) before and after the others."""
+        yes = [i for i, right in enumerate(self.right) if right]
+        expected = [i for i in yes if self.expected[i]]
+        unexpected = [i for i in yes if not self.expected[i]]
+        return _rows(self.poses, expected), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
+
+    def withdraw(self, numbers: set[int]) -> None:
+        """Forget the answers of these numbers, and where nothing was right, which may rest on them."""
+        self.hopeless.clear()
+        self._keep([number not in numbers for number in self.numbers])
+
+    def contradict(self, point: Array) -> bool:
+        """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong.
+
+        Returns whether there were any.
+        """
+        if not len(self):
+            return False
+        noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
+        if noes.any():
+            self.contradictions += 1
+            self.hopeless.append(tuple(point.tolist()))
+            self._keep((~noes).tolist())
+        return bool(noes.any())
+
+    def hopeless_near(self, point: Array, reach: float) -> bool:
+        """Return whether nothing was right within a reach [m] of a pose (7,)."""
+        places = np.array(self.hopeless).reshape(-1, 7)
+        return bool((pose.position_distance(places, point) <= reach).any())
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything held, as arrays."""
+        return {
+            "numbers": np.array(self.numbers, dtype=np.int64),
+            "poses": _rows(self.poses, range(len(self))),
+            "actions": np.array(self.actions, dtype=np.int64),
+            "reached": _rows(self.reached, range(len(self))),
+            "right": np.array(self.right, dtype=np.bool_),
+            "margins": np.array(self.margins, dtype=np.float64),
+            "expected": np.array(self.expected, dtype=np.bool_),
+            "contradictions": np.array(self.contradictions),
+            "hopeless": np.array(self.hopeless).reshape(-1, 7),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Hold what :meth:`state` returned."""
+        self.numbers, self.actions = state["numbers"].tolist(), state["actions"].tolist()
+        self.right, self.margins = state["right"].tolist(), state["margins"].tolist()
+        self.expected = state["expected"].tolist()
+        self.poses, self.reached = ([tuple(row) for row in state[name].tolist()] for name in ("poses", "reached"))
+        self._stacked = None
+        self.hopeless = [tuple(row) for row in state["hopeless"].tolist()]
+        self.contradictions = int(state["contradictions"])
+
+    @property
+    def _known(self) -> Array:
+        if self._stacked is None:
+            self._stacked = _rows(self.poses, range(len(self)))
+        return self._stacked
+
+    def _columns(self) -> tuple[list, ...]:  # type: ignore[type-arg]  # columns of different types
+        return self.numbers, self.poses, self.actions, self.reached, self.right, self.margins, self.expected
+
+    def _keep(self, kept: list[bool]) -> None:
+        for values in self._columns():
+            values[:] = [value for value, keep in zip(values, kept, strict=True) if keep]
+        self._stacked = None
+
+
+def _rows(values: list[Row], index: list[int] | range) -> Array:
+    return np.array([values[i] for i in index]).reshape(-1, 7)

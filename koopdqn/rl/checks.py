@@ -1,0 +1,106 @@
+"""Checks of the policy on held-out starts during training, and when they say that the task is learned."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from koopdqn.intent.model import IntentModel
+from koopdqn.intent.tube import scaled_distances
+from koopdqn.pose import Array
+from koopdqn.rl.history import Check
+from koopdqn.rl.policy import Policy
+from koopdqn.rl.settings import TrainSettings
+from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.task import TURNS_PER_STEP
+from koopdqn.tasks.workcell import Workcell
+
+# Below this [m, or of a quaternion's entries] a roll-out has come to rest.
+_AT_REST = 1e-9
+
+
+class Checker:
+    """Tries policies from the same starts each time."""
+
+    def __init__(self, workcell: Workcell, model: IntentModel, settings: TrainSettings, step_limit: int) -> None:
+        """Draw the starts: ``settings.check_starts``, by ``settings.check_seed``; episodes end after ``step_limit``.
+
+        ``model`` is the intent as it was fitted, whose roll-outs paths are compared with.
+        """
+        self._workcell = workcell
+        self._model = model
+        self._step_limit = step_limit
+        rng = np.random.default_rng([settings.check_seed, 3])
+        self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
+
+    def measure(self, policy: Policy) -> tuple[float, float, dict[str, int]]:
+        """Return a policy's success rate, its distance from the intent's own roll-out, and failed starts by cause.
+
+        The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
+        start: in steps of position or in turns in place, whichever is more.
+        """
+        workcell, task = self._workcell, self._workcell.task
+        begun = self._starts, self._joints, self._step_limit
+        episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True)
+        outcomes = [episode.outcome for episode in episodes]
+        failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
+        intended = self._intended
+        unit = np.tile([task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad], (len(intended), 1))
+        each = [
+            scaled_distances(episode.poses, intended[:, index], unit).min(axis=1)
+            for index, episode in enumerate(episodes)
+        ]
+        return outcomes.count(SUCCESS) / len(outcomes), float(np.concatenate(each).mean()), failures
+
+    @cached_property
+    def _intended(self) -> Array:
+        """The poses (T, N, 7) that follow one another by the intent alone from the checks' starts, until they rest."""
+        poses = [self._starts]
+        for _ in range(self._step_limit):
+            wished = self._model.intended(poses[-1], self._starts)
+            poses.append(self._model.to_step(poses[-1], wished, self._workcell.task.step_m))
+            if np.abs(poses[-1] - poses[-2]).max() < _AT_REST:
+                break
+        return np.array(poses)
+
+
+@dataclass
+class Progress:
+    """The best check so far, and whether the task is learned: quality that has stopped improving.
+
+    Attributes:
+        learned_at: actions tried when it was learned, or −1.
+        passed: checks passed in a row of which none came nearer to the intent than the first by a gain.
+        first_distance: of the first of these from the intent.
+        best_success: of the best check: most successes, of equal ones the nearest to the intent; −1 before the first.
+        best_distance: its distance from the intent.
+        best_update: updates made when it was.
+    """
+
+    learned_at: int = -1
+    passed: int = 0
+    first_distance: float = 0.0
+    best_success: float = -1.0
+    best_distance: float = 0.0
+    best_update: int = 0
+
+    @property
+    def learned(self) -> bool:
+        """Whether enough checks in a row were passed."""
+        return self.learned_at >= 0
+
+    def take(self, check: Check, settings: TrainSettings) -> bool:
+        """Take another check into account; return whether it is the best so far."""
+        if check.success_rate < settings.check_success:
+            self.passed = 0
+        elif self.passed and check.intent_distance >= (1.0 - settings.gain) * self.first_distance:
+            self.passed += 1
+        else:
+            self.passed, self.first_distance = 1, check.intent_distance
+        if not self.learned and self.passed >= settings.checks_to_learn:
+            self.learned_at = check.env_steps
+        best = (check.success_rate, -check.intent_distance) >= (self.best_success, -self.best_distance)
+        if best:
+            self.best_success, self.best_distance = check.success_rate, check.intent_distance
+            self.best_update = check.updates
+        return best

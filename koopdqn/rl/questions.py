@@ -1,0 +1,194 @@
+"""Questions about attempts: how they are put, and those put off to the end of their episode."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from koopdqn.intent.reward import ActionEvaluation, IntentReward
+from koopdqn.oracles.base import Place, Question
+from koopdqn.pose import Array
+from koopdqn.rl.human_reward import Feedback
+from koopdqn.rl.labels import Labelled
+
+
+@dataclass(frozen=True)
+class OpenAttempt:
+    """An action tried in an episode that has no label yet.
+
+    Attributes:
+        episode: number of the episode.
+        step: steps made in it before.
+        pose: (7,) before the action.
+        start: (7,) where the episode began.
+        action: index in Table 1.
+    """
+
+    episode: int
+    step: int
+    pose: Array
+    start: Array
+    action: int
+
+
+@dataclass(frozen=True)
+class Asking:
+    """When questions are put to the oracle.
+
+    Attributes:
+        when: where they arise, or together at the end of their episode.
+        most: questions put off in an episode, which ends at so many.
+    """
+
+    when: Literal["at_once", "episode"] = "at_once"
+    most: int = 10
+
+
+class Ask(Protocol):
+    """Asks, and labels the action in a row of an evaluation; returns whether there was an answer."""
+
+    def __call__(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
+        """Ask."""
+
+
+class PutOffQuestions:
+    """The attempts of N episodes that run side by side whose questions are put off.
+
+    Attempts at places where a yes to an earlier question of the episode would extend the trust domain are kept too, but
+    count as no further questions.
+    """
+
+    def __init__(self, asking: Asking, feedback: Feedback, count: int) -> None:
+        """Begin with nothing for each of ``count`` episodes."""
+        self._asking = asking
+        self._feedback = feedback
+        self._attempts: list[list[OpenAttempt]] = [[] for _ in range(count)]
+        self._questions: list[list[Array]] = [[] for _ in range(count)]
+
+    @property
+    def on(self) -> bool:
+        """Whether questions are put off now: with the budget spent there is no person to spare."""
+        return self._asking.when == "episode" and not self._feedback.spent
+
+    def add(self, index: int, attempt: OpenAttempt) -> bool:
+        """Keep an attempt of episode ``index``; return whether that was its last question."""
+        self._attempts[index].append(attempt)
+        questions = self._questions[index]
+        here = _placed([attempt], self._feedback)[0]
+        if not self._feedback.covers(_poses(questions), here, attempt.step):
+            questions.append(here)
+        return len(questions) >= self._asking.most
+
+    def take(self, index: int) -> list[OpenAttempt]:
+        """Return the attempts of episode ``index``, oldest first, and keep them no longer."""
+        taken, self._attempts[index], self._questions[index] = self._attempts[index], [], []
+        return taken
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return everything held, as arrays over attempts."""
+        held = [(index, attempt) for index, attempts in enumerate(self._attempts) for attempt in attempts]
+        return {
+            "rows": np.array([index for index, _ in held], dtype=np.int64),
+            "episodes": np.array([attempt.episode for _, attempt in held], dtype=np.int64),
+            "steps": np.array([attempt.step for _, attempt in held], dtype=np.int64),
+            "poses": _poses([attempt.pose for _, attempt in held]),
+            "starts": _poses([attempt.start for _, attempt in held]),
+            "actions": np.array([attempt.action for _, attempt in held], dtype=np.int64),
+        }
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Hold what :meth:`state` returned."""
+        for index in range(len(self._attempts)):
+            self.take(index)
+        columns = (state[name].tolist() for name in ("rows", "episodes", "steps", "actions"))
+        places = state["poses"], state["starts"]
+        for index, episode, step, action, pose, start in zip(*columns, *places, strict=True):
+            self.add(index, OpenAttempt(episode, step, pose.copy(), start.copy(), action))
+
+
+def question_about(
+    attempt: OpenAttempt, reward: IntentReward, evaluation: ActionEvaluation, row: int, place: Place | None = None
+) -> Question:
+    """Return the question whether an attempt was right.
+
+    Args:
+        attempt: what is asked about.
+        reward: says why it must be asked.
+        evaluation: of the actions from the attempt's pose, in its ``row``.
+        row: of the evaluation.
+        place: where the question stands among those of its episode; None if it is asked at once.
+    """
+    placed, trust = evaluation.placed_reached[row, attempt.action], reward.trust
+    return Question(
+        episode=attempt.episode,
+        step=attempt.step,
+        pose=attempt.pose,
+        start=attempt.start,
+        action=attempt.action,
+        reached=evaluation.reached[row, attempt.action].copy(),
+        predicted=evaluation.predicted[row].copy(),
+        reason=trust.outside(placed, attempt.step + 1) or trust.outside(evaluation.placed[row], attempt.step),
+        candidates=evaluation.reached[row].copy(),
+        place=place,
+    )
+
+
+def answered(attempts: list[OpenAttempt], feedback: Feedback, ask: Ask, limit: int) -> Iterator[Labelled]:
+    """Ask about an episode's attempts in their order, and yield the label of each as soon as it is known.
+
+    What an earlier answer settles already is not asked. What follows a wrong action is left out where wrong actions
+    are undone: only that action led there.
+
+    Args:
+        attempts: of one episode, oldest first.
+        feedback: says what is known.
+        ask: puts a question to the oracle.
+        limit: steps after which the episode is truncated.
+
+    Raises:
+        PauseRequested: who answers wants to go on another time.
+    """
+    if not attempts:
+        return
+    asked, first = 0, 0
+    evaluation, changes = _evaluated(attempts, feedback), feedback.changes
+    for place, attempt in enumerate(attempts):
+        if feedback.changes > changes:
+            evaluation, changes, first = _evaluated(attempts[place:], feedback), feedback.changes, place
+        row = place - first
+        if not evaluation.known[row, attempt.action]:
+            asked += 1
+            more = _count(attempts[place:], evaluation.known[row:], feedback) - 1
+            question = question_about(attempt, feedback.reward, evaluation, row, Place(asked, asked + more))
+            if not ask(question, evaluation, row):
+                continue
+        undone = bool(evaluation.reward[row, attempt.action] < 0) and feedback.step_back
+        truncated = not undone and not evaluation.at_goal[row, attempt.action] and attempt.step + 1 >= limit
+        yield Labelled.one(evaluation, row, attempt.action, truncated=bool(truncated))
+        if undone:
+            return
+
+
+def _evaluated(attempts: list[OpenAttempt], feedback: Feedback) -> ActionEvaluation:
+    steps = np.array([attempt.step for attempt in attempts], dtype=np.int64)
+    poses, starts = (_poses([getattr(attempt, name) for attempt in attempts]) for name in ("pose", "start"))
+    return feedback.evaluate_actions(poses, steps, starts)
+
+
+def _count(attempts: list[OpenAttempt], known: np.ndarray, feedback: Feedback) -> int:
+    """Return how many of the attempts will be asked about if all answers are yes, given what is known (N, 10)."""
+    questions: list[Array] = []
+    for row, (attempt, here) in enumerate(zip(attempts, _placed(attempts, feedback), strict=True)):
+        if not known[row, attempt.action] and not feedback.covers(_poses(questions), here, attempt.step):
+            questions.append(here)
+    return len(questions)
+
+
+def _placed(attempts: list[OpenAttempt], feedback: Feedback) -> Array:
+    poses, starts = (_poses([getattr(attempt, name) for attempt in attempts]) for name in ("pose", "start"))
+    return feedback.reward.model.start_frame.placed(poses, starts)
+
+
+def _poses(poses: list[Array]) -> Array:
+    return np.array(poses).reshape(-1, 7)
