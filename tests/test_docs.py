@@ -158,13 +158,16 @@ def test_no_page_names_a_place_on_somebodys_machine(page: Path) -> None:
 
 
 def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    [example] = [block for block in blocks("python") if "open_workcell" in block]
-    given = 'composed(["task=shelf"])'
+    [example] = [block for block in blocks("python") if "koopdqn.train" in block]
+    assert len(example.splitlines()) <= 20
+    assert sum("import" in line for line in example.splitlines()) <= 3
+    given = 'load_config("task=shelf"'
     assert given in example
     names: dict[str, Any] = {}
-    exec(compile(example.replace(given, f"composed({['task=shelf', *SHORT]})"), "README.md", "exec"), names)
+    short = ", ".join(f'"{override}"' for override in SHORT)
+    exec(compile(example.replace(given, f"{given}, {short}"), "README.md", "exec"), names)
     printed = capsys.readouterr().out.splitlines()
-    assert len(printed) == len(names["trainer"].history.checks) + 1 > 1
+    assert len(printed) == len(names["trained"].history.checks) + 1 > 1
     success, deviation = map(float, printed[-1].split())
     assert names["evaluation"].report["success_rate"] == success
     assert names["evaluation"].report["path_deviation_mm"]["mean"] == deviation

@@ -24,12 +24,12 @@ from koopdqn.oracles.base import Oracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.checks import Checker, Progress
-from koopdqn.rl.dqn import Learner
+from koopdqn.rl.dqn import Learner, load_arrays
 from koopdqn.rl.history import Check, History
 from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.labelling import LabelAllKnown, LabelChosen, Labelling, Motions
 from koopdqn.rl.labels import Labelled
-from koopdqn.rl.network import observe, size
+from koopdqn.rl.network import QNetwork, observe, size
 from koopdqn.rl.policy import Policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.replay_buffer import ReplayBuffer
@@ -108,6 +108,12 @@ class Trainer:
     def policy(self) -> Policy:
         """The policy as it is now."""
         return Policy(self.learner.policy_network, self._task, self.feedback.reward.model.start_frame)
+
+    def best_network(self) -> QNetwork:
+        """Return a network with the arrays of :attr:`best`."""
+        network = QNetwork(size(self._task), self.agent.network, np.random.default_rng(0))
+        load_arrays(network, self.best)
+        return network
 
     @property
     def learned(self) -> bool:

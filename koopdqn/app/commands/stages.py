@@ -158,16 +158,25 @@ def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demon
     Raises:
         BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
     """
-    if config.demo.source != "scripted":
-        raise BadInputError(
-            f"demo.source: must be scripted where koopdqn {config.inputs.command} makes demonstrations itself, found"
-            f" {config.demo.source}; record with koopdqn demo, then demos=FILE"
-        )
+    check_scripted(config)
     with console.stage("Demonstrating", config.demo.count) as stage:
         generated = generate(
             config.task, workcell.reachability, config.demo, config.inputs.seed, lambda done: stage.advance()
         )
     return generated.demonstrations, generated.redrawn
+
+
+def check_scripted(config: Configuration) -> None:
+    """Check that demonstrations may be generated.
+
+    Raises:
+        BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
+    """
+    if config.demo.source != "scripted":
+        raise BadInputError(
+            f"demo.source: must be scripted where koopdqn {config.inputs.command} makes demonstrations itself, found"
+            f" {config.demo.source}; record with koopdqn demo, then demos=FILE"
+        )
 
 
 def fitted_intent(

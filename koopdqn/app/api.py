@@ -1,0 +1,171 @@
+"""koopdqn from Python: each stage of the command line as one function of a config and what came before."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from koopdqn.app.commands import stages
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed, explain
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.generate import generate as generate_demonstrations
+from koopdqn.evaluation.evaluate import Evaluation
+from koopdqn.evaluation.evaluate import evaluate as evaluate_policy
+from koopdqn.intent.fit import Fitted, agent_steps
+from koopdqn.intent.fit import fit as fit_intent
+from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.base import Oracle
+from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import open_workcell as open_scene
+
+if TYPE_CHECKING:
+    from koopdqn.envs.dm import KoopmanEnvironment
+    from koopdqn.rl.history import Check, History
+    from koopdqn.rl.policy import Policy
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What training brought.
+
+    Attributes:
+        policy: the best by its checks.
+        learned: whether the task was learned within the limits.
+        questions: how many the oracle was asked.
+        step_limit: steps after which an episode is cut.
+        history: checks, episodes and rewards on the way.
+    """
+
+    policy: "Policy"
+    learned: bool
+    questions: int
+    step_limit: int
+    history: "History"
+
+
+def load_config(*overrides: str, config_dir: str | Path | None = None) -> Configuration:
+    """Return the config under overrides in Hydra's grammar, such as ``"task=shelf"`` and ``"seed=3"``.
+
+    Args:
+        overrides: as on the command line; ``demos=`` names files as there.
+        config_dir: a folder of own options, searched beside koopdqn's.
+
+    Raises:
+        BadInputError: a key or option is unknown, a value breaks a rule, or ``demos=`` cannot be learned from.
+    """
+    own = [] if config_dir is None else [f"hydra.searchpath=[{Path(config_dir).resolve().as_uri()}]"]
+    try:
+        config = Configuration.load(composed([*own, "out=.", *overrides]))
+    except Exception as error:
+        told = explain(error)
+        if told is None:
+            raise
+        raise told from error
+    return stages.with_task(config, Path(), keep=False)
+
+
+def open_workcell(config: Configuration) -> Workcell:
+    """Return task, arm and compiled MuJoCo scene.
+
+    Raises:
+        BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
+    """
+    return open_scene(config.task, config.robot)
+
+
+def generate(config: Configuration) -> Demonstrations:
+    """Return the demonstrations of the scripted person, or those of ``demos=`` where the task is made from them.
+
+    Raises:
+        BadInputError: a person is to demonstrate, which only ``koopdqn demo`` lets them do.
+    """
+    if config.derived is not None:
+        return config.derived.training
+    stages.check_scripted(config)
+    seed = config.inputs.seed
+    return generate_demonstrations(config.task, open_workcell(config).reachability, config.demo, seed).demonstrations
+
+
+def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
+    """Return the intent model K and its trust domain, fitted to demonstrations, with the report of ``fit.json``."""
+    return fit_intent(demonstrations, config.task, config.intent, config.trust, config.reward)
+
+
+def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
+    """Return the reward function (Eqs. 15, 16) of a fitted intent."""
+    return IntentReward(config.task, fitted.model, fitted.trust, config.reward)
+
+
+def train(
+    config: Configuration,
+    demonstrations: Demonstrations,
+    fitted: Fitted,
+    oracle: Oracle | None = None,
+    on_check: "Callable[[Check], None]" = lambda check: None,
+) -> Trained:
+    """Learn the path (Algorithm 1).
+
+    Args:
+        config: of the task, the agent and the training.
+        demonstrations: that the intent was fitted to.
+        fitted: the intent.
+        oracle: who answers where the intent is not trusted; None for the config's.
+        on_check: called after every check on held-out starts.
+
+    Raises:
+        PauseRequested: who answers wants to go on another time.
+    """
+    from koopdqn.rl.algorithm1 import Trainer
+    from koopdqn.rl.human_reward import Budget
+    from koopdqn.rl.policy import Policy
+    from koopdqn.rl.questions import Asking
+
+    workcell, seed = open_workcell(config), config.inputs.seed
+    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, config.task))
+    trainer = Trainer(
+        workcell,
+        intent_reward(config, fitted),
+        trajectories,
+        oracle or config.oracle.open(workcell, seed, Path()),
+        config.agent,
+        config.train,
+        seed,
+        config.feedback,
+        Budget(config.oracle.budget, config.oracle.when_spent),
+        Asking(config.oracle.ask, config.oracle.gather_most),
+    )
+    trainer.run(on_check)
+    policy = Policy(trainer.best_network(), config.task, fitted.model.start_frame)
+    return Trained(policy, trainer.learned, trainer.questions, trainer.step_limit, trainer.history)
+
+
+def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
+    """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``)."""
+    return evaluate_policy(
+        open_workcell(config),
+        trained.policy,
+        intent_reward(config, fitted),
+        agent_steps(demonstrations, config.task),
+        config.eval,
+        trained.step_limit,
+        held_out=stages.held_out_of(config),
+    )
+
+
+def make_env(
+    config: Configuration, demonstrations: Demonstrations, fitted: Fitted, oracle: Oracle | None = None
+) -> "KoopmanEnvironment":
+    """Return the environment that training uses, as dm_env knows it, for another learner."""
+    from koopdqn.envs.dm import KoopmanEnvironment
+
+    workcell, seed = open_workcell(config), config.inputs.seed
+    longest = max(len(rows) for rows in agent_steps(demonstrations, config.task))
+    return KoopmanEnvironment(
+        workcell,
+        intent_reward(config, fitted),
+        oracle or config.oracle.open(workcell, seed, Path()),
+        int(config.train.step_limit_factor * longest),
+        seed,
+        config.feedback,
+    )

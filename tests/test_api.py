@@ -1,0 +1,54 @@
+"""The API: lazily imported, and the same training as the command line's."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_run import SMALL
+
+import koopdqn
+from koopdqn.app import cli
+from koopdqn.errors import BadInputError
+
+
+def test_importing_koopdqn_loads_neither_torch_nor_mujoco() -> None:
+    code = "import sys, koopdqn; print([m for m in ('torch', 'mujoco', 'numpy', 'hydra') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", koopdqn.__all__)
+def test_every_name_of_the_api_is_there_and_described(name: str) -> None:
+    value = getattr(koopdqn, name)
+    assert name == "__version__" or value.__doc__
+
+
+def test_an_unknown_name_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="has no attribute .trian"):
+        koopdqn.trian  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [(["task=shel"], ("task", "shelf")), (["agent.gama=1"], ("gama", "gamma")), (["agent.gamma=2"], ("gamma", "2"))],
+)
+def test_a_bad_config_is_told_as_on_the_command_line(overrides: list[str], words: tuple[str, ...]) -> None:
+    with pytest.raises(BadInputError) as caught:
+        koopdqn.load_config(*overrides)
+    assert all(word in str(caught.value) for word in words)
+
+
+def test_training_from_python_gives_the_networks_of_the_command_line(tmp_path: Path) -> None:
+    assert cli.main(["train", "task=shelf", *SMALL, f"out={tmp_path / 'run'}"]) in (0, 1)
+    config = koopdqn.load_config("task=shelf", *SMALL)
+    demonstrations = koopdqn.generate(config)
+    intent = koopdqn.fit(config, demonstrations)
+    trained = koopdqn.train(config, demonstrations, intent)
+    saved, _ = koopdqn.read_policy(tmp_path / "run" / "policy.safetensors", config.task)
+    for name, values in saved.network.state_dict().items():
+        np.testing.assert_array_equal(values.numpy(), trained.policy.network.state_dict()[name].numpy())
+    environment = koopdqn.make_env(config, demonstrations, intent)
+    assert environment.reset().first()
+    assert environment.step(0).reward is not None
