@@ -30,7 +30,7 @@ from study_tables import with_tables
 from docs import replaced
 from koopdqn import console
 from koopdqn.app.exit_status import guard
-from koopdqn.errors import BadInputError, unknown_name
+from koopdqn.errors import BadInputError, WorkFailedError, unknown_name
 from koopdqn.files import write_json, write_text
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -173,13 +173,19 @@ class Study:
 
 
 def printed(commands: Iterable[Sequence[str]]) -> str:
-    """Return, as a block of Markdown, what koopdqn commands print on standard output in a folder of their own."""
+    """Return, as a block of Markdown, what koopdqn commands print on standard output in a folder of their own.
+
+    Raises:
+        WorkFailedError: a command did not end well.
+    """
     lines: list[str] = []
     with tempfile.TemporaryDirectory(prefix="koopdqn-") as folder:
         for command in commands:
             call = [sys.executable, "-m", "koopdqn", *command]
             environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1"}
-            done = subprocess.run(call, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+            done = subprocess.run(call, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=False)
+            if done.returncode:
+                raise WorkFailedError(f"koopdqn {' '.join(command)} ended with exit status {done.returncode}")
             lines += [line.rstrip() for line in done.stdout.splitlines() if line.strip()]
     return "\n".join(["```text", *lines, "```"])
 

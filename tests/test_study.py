@@ -13,7 +13,7 @@ from helpers_shown import arc, recorded
 from study import Study, main, printed
 
 from koopdqn.demonstrations.csv import write_csv
-from koopdqn.errors import BadInputError
+from koopdqn.errors import BadInputError, WorkFailedError
 
 
 def begun(root: Path, **changed: Any) -> Study:
@@ -128,6 +128,8 @@ def test_what_is_printed_is_standard_output_in_a_folder_of_its_own() -> None:
     assert text.startswith("```text\n")
     assert "command: demo" in text
     assert text.endswith("```")
+    with pytest.raises(WorkFailedError, match="koopdqn demo task=moon ended with exit status 2"):
+        printed([["demo", "task=moon"]])
 
 
 def test_a_page_that_cannot_be_written_is_found_out_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
