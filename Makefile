@@ -54,19 +54,19 @@ bench: $(STAMP) ## Measure speed on this machine
 	$(BIN)/python scripts/bench.py
 
 ablations: $(STAMP) ## Measure each deviation from the paper, for at most MINUTES; hours, goes on where it stopped
-	$(BIN)/python scripts/ablations.py --people $(PEOPLE) --minutes $(MINUTES)
+	$(BIN)/python scripts/study.py ablations --data $(PEOPLE) --minutes $(MINUTES)
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
-	$(BIN)/python scripts/study.py --minutes $(MINUTES)
+	$(BIN)/python scripts/study.py study --minutes $(MINUTES)
 
 people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
-	$(BIN)/python scripts/people.py --data $(PEOPLE)
+	$(BIN)/python scripts/study.py people --data $(PEOPLE)
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py
 
 figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; takes minutes
-	$(BIN)/python scripts/docs.py --measure
+	$(BIN)/python scripts/study.py figures
 
 package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
 	$(BIN)/python scripts/check_package.py

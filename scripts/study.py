@@ -1,235 +1,231 @@
-"""Measures the default preset beside what is simpler, older or more laborious: `make study`.
+"""Makes the runs of an experiment and writes its tables: `make study`, `make ablations`, `make people`, `make figures`.
 
-Every line of the table is trained and evaluated with its seeds, in runs/study/TASK/LINE/SEED/{train,eval}; what is
-finished there is not done again, and an interrupted training goes on from its checkpoint. With the same task and seed
-every line learns from the same demonstrations and is measured from the same starts. The results go to
-runs/study/study.json, one for each run, and after every run as tables to docs/study.md.
+    python scripts/study.py ablations --cases shelf --variants default sign --seeds 0
 
-A training that does not learn is a result like any other. Exit status 0 if every run begun came to a result, 1 if a
-command crashed (its output lies beside the run; the other runs are still made), 2 bad input.
+An experiment is a YAML file of scripts/experiments, or one of your own (scripts/experiment.py says what it holds).
+What is finished in its folder is not made again, and an interrupted training goes on from its checkpoint. The results
+go to a JSON file in that folder, and after every run as tables to the experiment's page. All is made with one seed
+before the next, so that an early end is fair. A training that does not learn is a result like any other.
+
+Exit status 0 if every run begun came to a result, 1 if a command crashed (its output lies beside the run; the other
+runs are still made), 2 bad input.
 """
 
 import argparse
 import os
+import shutil
+import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+import tempfile
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import measured_runs
-from imitate import IMITATION
-from measured_runs import Command, Launch, Training, add_jobs
-from study_lines import EVALUATION_SEED, LINES, SEEDS, TASKS, Line
-from study_tables import PaperRun, Result, least_check, with_tables
+import people_sets
+import side_by_side
+from experiment import Experiment, load
+from study_runs import Launch, Result, Run
+from study_tables import with_tables
 
+from docs import replaced
 from koopdqn import console
 from koopdqn.app.exit_status import guard
-from koopdqn.errors import BadInputError
-from koopdqn.files import read_json, write_json, write_text
-from koopdqn.settings import validate
+from koopdqn.errors import BadInputError, WorkFailedError, unknown_name
+from koopdqn.files import write_json, write_text
 
-FOLDER: Final = Path("runs") / "study"
-PAGE: Final = Path("docs") / "study.md"
-PAPER_RUNS: Final = Path("docs") / "paper_runs.json"
-
-_IMITATE: Final = "imitate"
-_NONE: Final = {"trusted": None, "remembered": None}
+ROOT: Final = Path(__file__).resolve().parents[1]
+DATA: Final = Path("..") / "shared" / "data"
+"""Where motions of people are by default."""
 
 
-@dataclass(frozen=True)
-class Run:
-    """A line with a seed on a task, and where its results lie.
+class Study:
+    """An experiment, its runs and its results.
 
     Attributes:
-        task: name of the task.
-        line: what is measured.
-        seed: of demonstrations and training.
-        root: folder of the runs.
+        runs: all of them, in their order.
     """
 
-    task: str
-    line: Line
-    seed: int
-    root: Path = FOLDER
+    def __init__(self, name: str, experiment: Experiment, root: Path, data: Path = DATA) -> None:
+        """Find the runs; a set of people's motions that is not there is left out, which is said.
 
-    @property
-    def name(self) -> str:
-        """What the run is called in messages."""
-        return f"{self.task} {self.line.name} seed {self.seed}"
+        Args:
+            name: of the experiment, and of the file of its results.
+            experiment: what it is.
+            root: folder of the runs.
+            data: folder of demonstrations of people.
+        """
+        self._name, self._experiment, self._root = name, experiment, root
+        self._page = ROOT / experiment.page
+        self._known: dict[str, list[Result]] = {}
+        people = people_sets.sets_below(data) if experiment.people else {}
+        seeds = {case: list(range(len(items))) for case, items in people.items()}
+        for case, content in experiment.cases.items():
+            if not content.file or (data / content.file).is_file():
+                seeds[case] = experiment.seeds
+            else:
+                console.note(f"{case} is left out: {data / content.file} does not exist")
+        self._cases = list(seeds)
+        self.runs = [
+            Run(experiment, case, variant, seed, root, data, people.get(case, ()))
+            for seed in sorted({seed for each in seeds.values() for seed in each})
+            for variant, content in experiment.variants.items()
+            for case in content.cases or seeds
+            if case in seeds and seed in (content.seeds or seeds[case]) and not content.kept
+        ]
 
-    @property
-    def folder(self) -> Path:
-        """The folder that holds the run's evaluation, and its training if it has its own."""
-        return self.root / self.task / self.line.name / str(self.seed)
-
-    @property
-    def training(self) -> Training:
-        """The training that is measured, or whose demonstrations are learned from."""
-        folder = self.root / self.task / (self.line.of or self.line.name) / str(self.seed)
-        return Training(folder / "train", (f"task={self.task}", *self.line.overrides, f"seed={self.seed}"), folder)
-
-    def commands(self) -> list[Command]:
-        """Return what is left to do: names and arguments of the commands, none if the run is finished.
+    def chosen(self, **wanted: Sequence[str | int]) -> list[Run]:
+        """Return the runs whose ``case``, ``variant`` and ``seed`` are wanted; an empty list is every one.
 
         Raises:
-            BadInputError: the folder holds a training with other overrides.
+            BadInputError: a name is not known.
         """
-        left, measured = self.training.commands(), self.folder / "eval"
-        if not left and (measured / "eval.json").is_file():
-            return []
-        inputs, starts = [f"run={self.training.folder}", f"out={measured}"], f"eval.seed={EVALUATION_SEED}"
-        if self.line.method:
-            return [*left, (_IMITATE, [self.line.method, *inputs, starts])]
-        beside = f"eval.baselines={str(bool(self.line.baselines)).lower()}"
-        return [*left, ("eval", [*inputs, "eval.dynamics=false", starts, beside, *self.line.evaluation])]
+        runs = self.runs
+        for what, names in wanted.items():
+            known = {str(getattr(run, what)) for run in self.runs}
+            for name in map(str, names):
+                if name not in known:
+                    raise unknown_name(what, name, known)
+            runs = [run for run in runs if not names or getattr(run, what) in names]
+        return runs
 
     def results(self) -> list[Result]:
-        """Return the line's result and those of the baselines below it; none if the run is not finished.
+        """Return the results of every finished run, and those that are kept, case by case.
 
         Raises:
-            BadInputError: the folder holds a training with other overrides, or an evaluation without those baselines.
+            BadInputError: a result cannot be read, or runs of one seed learned from different demonstrations.
         """
-        if self.commands():
-            return []
-        evaluation = read_json(self.folder / "eval" / "eval.json", "the evaluation report")
-        if self.line.method:
-            about = read_json(self.folder / "eval" / IMITATION, "the imitation report")
-            trained = {**about, "learned": None, "reward_agreement": _NONE}
-            return [self._result(self.line.name, evaluation, trained, None)]
-        trained = read_json(self.training.folder / "train.json", "the training report")
-        results = [self._result(self.line.name, evaluation, trained, least_check(trained))]
-        nothing = {**trained, "learned": None, "oracle_queries": 0, "reward_agreement": _NONE, "seconds": None}
-        for name in self.line.baselines:
-            measured = (evaluation["baselines"] or {}).get(name)
-            if measured is None:
+        variants, found = self._experiment.variants, []
+        for run in self.runs:
+            found += self._results_of(run)
+        for name, variant in variants.items():
+            for case in variant.kept.keys() & {each.case for each in found}:
+                kept = variant.kept[case]
+                found.append(Result(case, name, None, {**dict.fromkeys(self._experiment.values), **kept}))
+        first: dict[tuple[str, int | None], Result] = {}
+        for each in found:
+            shown = each.values.get("demonstrations")
+            if shown is None or variants[each.line.partition("/")[0]].own_demonstrations:
+                continue
+            other = first.setdefault((each.case, each.seed), each)
+            if other.values["demonstrations"] != shown:
                 raise BadInputError(
-                    f"{self.folder / 'eval' / 'eval.json'}: must hold the baseline {name}, found none;"
-                    " remove the folder to measure it again"
+                    f"{self._root / each.case}: all must learn from the same demonstrations with seed {each.seed},"
+                    f" found {other.line} and {each.line} to differ; remove one of them to measure it anew"
                 )
-            results.append(self._result(self.line.named(name), measured, nothing, None))
-        return results
+        return sorted(found, key=lambda each: self._cases.index(each.case))
 
-    def _result(
-        self, line: str, measured: Mapping[str, Any], trained: Mapping[str, Any], least: float | None
-    ) -> Result:
-        return Result(
-            task=self.task,
-            line=line,
-            seed=self.seed,
-            learned=trained["learned"],
-            success_rate=measured["success_rate"],
-            path_deviation_mm=measured["path_deviation_mm"]["mean"],
-            p95_of_max_mm=measured["path_deviation_mm"]["p95_of_max"],
-            rotation_deviation_deg=measured["rotation_deviation_deg"]["mean"],
-            questions=trained["oracle_queries"],
-            trusted=trained["reward_agreement"]["trusted"],
-            remembered=trained["reward_agreement"]["remembered"],
-            least_check=least,
-            seconds=trained["seconds"],
-            failures={cause: count for cause, count in measured["failures"].items() if count},
-            demonstrations=trained["made_from"]["demonstrations"],
-        )
+    def write(self) -> None:
+        """Write the results and the page's tables.
 
+        Raises:
+            BadInputError: the page cannot be read or lacks a part, or see :meth:`results`.
+        """
+        results, rows = self.results(), []
+        for each in results:
+            overrides = self._experiment.variants[each.line.partition("/")[0]].train
+            row = {"case": each.case, "variant": each.line, "seed": each.seed, "overrides": list(overrides)}
+            rows.append({**row, **each.values})
+        write_json(self._root / f"{self._name}.json", rows)
+        write_text(self._page, with_tables(self._text(), self._experiment, results))
 
-def launch(command: str, arguments: Sequence[str], output: Path) -> int:
-    """Carry out a koopdqn command, or ``imitate.py``, in a process of its own."""
-    if command != _IMITATE:
-        return measured_runs.launch(command, arguments, output)
-    return measured_runs.call([str(Path(__file__).with_name("imitate.py")), *arguments], output)
+    def measure(
+        self, runs: Sequence[Run], minutes: float | None = None, jobs: int = 1, launch: Launch = side_by_side.launch
+    ) -> int:
+        """Carry out what is left of runs, writing the tables after each; return the exit status.
 
+        Raises:
+            BadInputError: see :meth:`write`.
+        """
 
-def runs_of(tasks: Sequence[str], lines: Iterable[Line], seeds: Sequence[int], root: Path = FOLDER) -> list[Run]:
-    """Return the runs in their order: everything with one seed, then the next, so that an early end is fair."""
-    lines = list(lines)
-    return [
-        Run(task, line, seed, root)
-        for seed in seeds
-        for task in tasks
-        for line in lines
-        if seed in line.seeds and task in line.tasks
-    ]
+        def finished(run: Run) -> None:
+            if self._experiment.folder:
+                self.write()
+            values = self._results_of(run)[0].values
+            said = {"success_rate": "success {:.0%}", "seconds": "{:.0f} s", "oracle_queries": "{} questions"}
+            known = [text.format(values[name]) for name, text in said.items() if values.get(name) is not None]
+            console.note(f"{run.name}: {', '.join(known) or 'done'}")
 
+        return side_by_side.measure(self._name.capitalize(), runs, finished, launch, minutes, jobs)
 
-def write_results(root: Path = FOLDER, page: Path = PAGE, paper: Path = PAPER_RUNS) -> list[Result]:
-    """Write study.json and the page's tables from every finished run; return the results.
+    def finish(self, machine: str) -> None:
+        """Write the tables, and what the page has beside them: what commands print, the machine, the pictures."""
+        self.write()
+        text = self._text()
+        for part, commands in self._experiment.printed.items():
+            text = replaced(text, part, printed(commands))
+        if self._experiment.machine:
+            text = replaced(text, self._experiment.machine, machine)
+        write_text(self._page, text)
+        for target, source in self._experiment.pictures.items():
+            if (self._root / source).is_file():
+                shutil.copyfile(self._root / source, ROOT / target)
 
-    Raises:
-        BadInputError: the page or the kept results of the paper preset cannot be read, a run was made with other
-            overrides, or runs of one seed learned from different demonstrations.
-    """
-    results = [result for task in TASKS for run in runs_of([task], LINES, SEEDS, root) for result in run.results()]
-    anew = {name for line in LINES if line.shown_anew for name in (line.name, *map(line.named, line.baselines))}
-    _check_demonstrations((result for result in results if result.line not in anew), root)
-    write_json(root / "study.json", [asdict(result) for result in results])
-    try:
-        text = page.read_text(encoding="utf-8")
-    except OSError as error:
-        raise BadInputError(f"{page} must be readable, the system says: {error.strerror}") from error
-    write_text(page, with_tables(text, results, _paper_runs(paper)))
-    return results
+    def _results_of(self, run: Run) -> list[Result]:
+        if run.name not in self._known and run.finished():
+            self._known[run.name] = run.results()
+        return self._known.get(run.name) or run.results()
+
+    def _text(self) -> str:
+        try:
+            return self._page.read_text(encoding="utf-8")
+        except OSError as error:
+            raise BadInputError(f"{self._page} must be readable, the system says: {error.strerror}") from error
 
 
-def _check_demonstrations(results: Iterable[Result], root: Path) -> None:
-    learned_from: dict[tuple[str, int], Result] = {}
-    for result in results:
-        first = learned_from.setdefault((result.task, result.seed), result)
-        if first.demonstrations != result.demonstrations:
-            raise BadInputError(
-                f"{root / result.task}: all lines must learn from the same demonstrations with seed {result.seed},"
-                f" found {first.line} and {result.line} to differ; remove one of them to measure it anew"
-            )
-
-
-def _paper_runs(path: Path) -> dict[str, PaperRun]:
-    if not path.exists():
-        return {}
-    kept = read_json(path, "the kept results of the paper preset")
-    return {task: validate(kept[task], PaperRun, f"{path}: {task}") for task in TASKS if task in kept}
-
-
-def measure(
-    runs: Sequence[Run],
-    launch: Launch = launch,
-    minutes: float | None = None,
-    root: Path = FOLDER,
-    page: Path = PAGE,
-    paper: Path = PAPER_RUNS,
-    jobs: int = 1,
-) -> int:
-    """Carry out what is left of the runs, writing the tables after each; return the exit status.
+def printed(commands: Iterable[Sequence[str]]) -> str:
+    """Return, as a block of Markdown, what koopdqn commands print on standard output in a folder of their own.
 
     Raises:
-        BadInputError: the folder of a run holds a training with other overrides, or see :func:`write_results`.
+        WorkFailedError: a command did not end well.
     """
+    lines: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="koopdqn-") as folder:
+        for command in commands:
+            call = [sys.executable, "-m", "koopdqn", *command]
+            environment = {**os.environ, "COLUMNS": "100", "NO_COLOR": "1"}
+            done = subprocess.run(call, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True, check=False)
+            if done.returncode:
+                raise WorkFailedError(f"koopdqn {' '.join(command)} ended with exit status {done.returncode}")
+            lines += [line.rstrip() for line in done.stdout.splitlines() if line.strip()]
+    return "\n".join(["```text", *lines, "```"])
 
-    def finished(run: Run) -> None:
-        write_results(root, page, paper)
-        for result in run.results():
-            console.note(f"{run.task} {result.line} seed {run.seed}: success {result.success_rate:.0%}")
 
-    # Lines of one task and seed share a training, and the demonstrations that it made.
-    return measured_runs.measure(
-        "Study", runs, finished, launch, minutes, jobs, together=lambda run: (run.task, run.seed)
-    )
+def machine() -> str:
+    """Return a sentence about what the figures are measured on, and how busy it is before."""
+    return f"Measured on {os.cpu_count()} cores; the load average before the first run was {os.getloadavg()[0]:.1f}."
+
+
+def _jobs(given: str) -> int:
+    if not given.isdecimal() or int(given) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number of at least 1, found {given}")
+    return int(given)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure what the arguments name, and write all that is measured so far."""
-    names = [line.name for line in LINES]
-    parser = argparse.ArgumentParser(description="Measure the default preset beside what it stands against.")
-    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS), help="default: all")
-    parser.add_argument("--rows", nargs="+", choices=names, default=names, metavar="NAME", help="default: all")
-    parser.add_argument("--seeds", nargs="+", type=int, choices=SEEDS, default=list(SEEDS), help="default: all")
+    """Make the runs that the arguments name, and write all that is measured so far."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("experiment", help="name of a file of scripts/experiments, or a YAML file")
+    parser.add_argument("--cases", nargs="+", default=[], metavar="NAME", help="default: all")
+    parser.add_argument("--variants", nargs="+", default=[], metavar="NAME", help="default: all")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[], help="default: all")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of people's motions; default: %(default)s")
+    parser.add_argument("--out", type=Path, help="folder of the runs; default: the experiment's")
     parser.add_argument("--minutes", type=float, help="begin no new run after that time; default: no limit")
-    add_jobs(parser)
+    parser.add_argument("--jobs", type=_jobs, help="runs side by side; default: the experiment's")
     given = parser.parse_args(arguments)
-    chosen = [line for line in LINES if line.name in given.rows]
 
     def work() -> int:
-        os.chdir(Path(__file__).resolve().parents[1])
-        write_results()  # a page that cannot be written is found out before hours are spent
-        return measure(runs_of(given.tasks, chosen, given.seeds), minutes=given.minutes, jobs=given.jobs)
+        measured_on, experiment = machine(), load(given.experiment)
+        with tempfile.TemporaryDirectory(prefix="koopdqn-") as unkept:
+            root = given.out or (ROOT / experiment.folder if experiment.folder else Path(unkept))
+            study = Study(Path(given.experiment).stem, experiment, root, given.data)
+            runs = study.chosen(case=given.cases, variant=given.variants, seed=given.seeds)
+            if experiment.folder:
+                study.write()  # a page that cannot be written is found out before hours are spent
+            status = study.measure(runs, given.minutes, given.jobs or experiment.jobs)
+            if status == 0 or experiment.folder:
+                study.finish(measured_on)
+            return status
 
     return guard(work, debug=False)
 

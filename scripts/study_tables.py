@@ -1,255 +1,151 @@
-"""The results of the study: one for each run and baseline, and their Markdown tables in docs/study.md."""
+"""The Markdown tables of an experiment's results."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from statistics import fmean, median
-from typing import Any, Final
+from typing import Final
 
-from ablation_tables import Format, shown
-from pydantic import Field
-from study_lines import COMPARISONS, LINES, PAPER, Comparison, Line
+from experiment import Column, Experiment, Kind, Table
+from study_runs import Result
 
 from docs import replaced, rows_table
-from koopdqn.errors import BadInputError
-from koopdqn.settings import Fraction, NonNegative, NonNegativeInt, Settings
 
-PART: Final = "study"
-"""Name of the page's generated part."""
-HEADS: Final = (
-    "method",
-    "config",
-    "seeds",
-    "learned",
-    "success [%]",
-    "deviation [mm]",
-    "p95 of largest [mm]",
-    "turn [°]",
-    "questions",
-    "trusted right [%]",
-    "remembered right [%]",
-    "least check after [%]",
-    "training [s]",
-)
-
-
-@dataclass(frozen=True)
-class Result:
-    """What one line's run, or one baseline, came to with one seed; None where a quantity is not known or not defined.
-
-    Attributes:
-        task: name of the task.
-        line: name of the line or of the baseline.
-        seed: of demonstrations and training.
-        learned: whether it learned within its limits; None of what knows no such thing.
-        success_rate: share of the held-out starts from which it succeeds.
-        path_deviation_mm: mean distance from the demonstrator's path [mm].
-        p95_of_max_mm: 95th percentile over episodes of the largest such distance [mm].
-        rotation_deviation_deg: mean angle to the demonstrator's orientation [deg].
-        questions: questions that reached the oracle.
-        trusted: share of the trusted model's rewards that the demonstrator agrees with.
-        remembered: the same of remembered answers.
-        least_check: least success rate of the checks after it had learned.
-        seconds: time of the training [s].
-        failures: failed episodes by cause, those that occurred.
-        demonstrations: SHA-256 of what it learned from.
-    """
-
-    task: str
-    line: str
-    seed: int
-    learned: bool | None
-    success_rate: float
-    path_deviation_mm: float | None
-    p95_of_max_mm: float | None
-    rotation_deviation_deg: float | None
-    questions: int
-    trusted: float | None
-    remembered: float | None
-    least_check: float | None
-    seconds: float | None
-    failures: dict[str, int]
-    demonstrations: str
+_FORMATS: Final[dict[Kind, Callable[[float], str]]] = {
+    "whole": lambda value: f"{value:,.0f}",
+    "percent": lambda value: f"{100 * value:.1f}".removesuffix(".0"),
+    "tenths": lambda value: f"{value:,.1f}",
+    "millimetres": lambda value: f"{1e3 * value:.2f}",
+}
+_STATS: Final[dict[str, Callable[[Sequence[float]], float]]] = {
+    "mean": fmean,
+    "median": median,
+    "least": min,
+    "most": max,
+    "true": sum,
+    "all": len,
+}
+_UNKNOWN: Final = "–"
+_ADDS, _COSTS = "in every seed it adds", "in every seed it costs"
+_BETTER: Final = {"more": "+", "less": "−"}
+_WORSE: Final = {"more": "−", "less": "+"}
 
 
-class PaperRun(Settings):
-    """A kept result of a training with ``preset=paper``, which takes too long to be repeated."""
-
-    learned: bool
-    episodes: NonNegativeInt
-    seconds: NonNegative
-    questions: NonNegativeInt
-    success_rate: Fraction
-    path_deviation_mm: NonNegative | None = Field(description="mean [mm]")
-
-
-def least_check(report: Mapping[str, Any]) -> float | None:
-    """Return the least success rate of the checks after the one by which ``train.json`` calls it learned."""
-    since = report["learned_at_env_steps"]
-    after = [check["success_rate"] for check in report["checks"] if since is not None and check["env_steps"] > since]
-    return min(after, default=None)
-
-
-def table(results: Sequence[Result], paper: PaperRun | None, lines: Sequence[Line] = LINES) -> str:
-    """Return the Markdown table of one task's results, in the order of the lines, each with its baselines below."""
-    rows = []
-    for line in lines:
-        rows += _row(line.about, _config(line), [result for result in results if result.line == line.name])
-        for name, about in line.baselines.items():
-            evaluation = " ".join(f"`{item}`" for item in line.evaluation)
-            rows += _row(about, evaluation, [result for result in results if result.line == line.named(name)])
-    rows.append(_paper_row(paper))
-    return rows_table(HEADS, rows)
-
-
-def _config(line: Line) -> str:
-    return " ".join(f"`{item}`" for item in (*line.overrides, *line.evaluation))
-
-
-def _row(about: str, config: str, results: Sequence[Result]) -> list[list[str]]:
-    if not results:
-        return []
-    learned = [result.learned for result in results if result.learned is not None]
-    success = [result.success_rate for result in results]
-    questions = [result.questions for result in results]
-    return [
-        [
-            about,
-            config,
-            _seeds([result.seed for result in results]),
-            f"{sum(learned)} of {len(learned)}" if learned else "–",
-            _with(shown(fmean(success), "share"), shown(min(success), "share")),
-            _mean([result.path_deviation_mm for result in results], "mm"),
-            _mean([result.p95_of_max_mm for result in results], "mm"),
-            _mean([result.rotation_deviation_deg for result in results], "degrees"),
-            _with(shown(median(questions), "count"), shown(max(questions), "count")),
-            _mean([result.trusted for result in results], "share"),
-            _mean([result.remembered for result in results], "share"),
-            shown(min((r.least_check for r in results if r.least_check is not None), default=None), "share"),
-            _mean([result.seconds for result in results], "seconds"),
-        ]
-    ]
-
-
-def _paper_row(paper: PaperRun | None) -> list[str]:
-    if paper is None:
-        return [PAPER, "`preset=paper`", "–", "not measured", *["–"] * (len(HEADS) - 4)]
-    return [
-        PAPER,
-        "`preset=paper`",
-        "–",
-        f"{int(paper.learned)} of 1 ({paper.episodes:,} episodes)",
-        shown(paper.success_rate, "share"),
-        shown(paper.path_deviation_mm, "mm"),
-        "–",
-        "–",
-        shown(paper.questions, "count"),
-        *["–"] * 3,
-        shown(paper.seconds, "seconds"),
-    ]
-
-
-def _with(first: str, second: str) -> str:
-    return first if first == second else f"{first} ({second})"
-
-
-def _mean(values: Sequence[float | None], kind: Format) -> str:
-    known = [value for value in values if value is not None]
-    return shown(fmean(known) if known else None, kind)
-
-
-def comparison_table(results: Sequence[Result], comparisons: Sequence[Comparison] = COMPARISONS) -> str:
-    """Return the Markdown table of what one line of a task adds over another, seed by seed; no rows without both.
-
-    A difference is the one's less the other's. Where in every seed it is better, to the digit shown, it is said to add
-    something, where it is worse in every seed, to cost something; what differs in some seeds only is said of neither.
-    """
-    found = {(result.line, result.seed): result for result in results}
-    rows = []
-    for each in comparisons:
-        seeds = [seed for line, seed in found if line == each.line and (each.beside, seed) in found]
-        if not seeds:
-            continue
-        cells, adds, costs = [], [], []
-        for quantity in _COMPARED:
-            apart = [quantity.difference(found[each.line, seed], found[each.beside, seed]) for seed in seeds]
-            known = [value for value in apart if value is not None]
-            cells.append(_signed(known))
-            if known and all(quantity.sign * value > 0 for value in known):
-                adds.append(quantity.name)
-            if known and all(quantity.sign * value < 0 for value in known):
-                costs.append(quantity.name)
-        rows.append([each.question, _seeds(seeds), *cells, ", ".join(adds) or "nothing", ", ".join(costs) or "nothing"])
-    heads = [f"{quantity.name} [{quantity.unit}]" for quantity in _COMPARED]
-    return rows_table(("question", "seeds", *heads, "in every seed it adds", "in every seed it costs"), rows)
-
-
-@dataclass(frozen=True)
-class _Quantity:
-    """What is compared.
-
-    Attributes:
-        name: of the quantity.
-        unit: of the difference.
-        field: of :class:`Result`.
-        scale: to the unit.
-        sign: 1 if more is better, −1 if less is.
-    """
-
-    name: str
-    unit: str
-    field: str
-    scale: float
-    sign: int
-
-    def difference(self, one: Result, other: Result) -> float | None:
-        """Return the one's less the other's, to the digit shown; None where it is not known of both."""
-        values = getattr(one, self.field), getattr(other, self.field)
-        return None if None in values else round(self.scale * (values[0] - values[1]), 1)
-
-
-_COMPARED: Final = (
-    _Quantity("success", "points", "success_rate", 100.0, 1),
-    _Quantity("deviation", "mm", "path_deviation_mm", 1.0, -1),
-    _Quantity("p95 of largest", "mm", "p95_of_max_mm", 1.0, -1),
-    _Quantity("turn", "°", "rotation_deviation_deg", 1.0, -1),
-)
-
-
-def _signed(values: Sequence[float]) -> str:
-    if not values:
-        return "–"
-    low, mean, high = (_with_sign(value) for value in (min(values), fmean(values), max(values)))
-    return mean if low == high else f"{mean} ({low} to {high})"
-
-
-def _with_sign(value: float) -> str:
-    text = f"{value:+.1f}".replace("-", "−")
-    return "0.0" if text in ("+0.0", "−0.0") else text
-
-
-def with_tables(page: str, results: Sequence[Result], paper: Mapping[str, PaperRun]) -> str:
-    """Return the page with its generated part replaced by two tables for every task of the results; the rest stays.
+def with_tables(page: str, experiment: Experiment, results: Sequence[Result]) -> str:
+    """Return the page with the parts that hold tables replaced by those of the results; the rest stays.
 
     Raises:
-        BadInputError: the page does not hold that part once.
+        BadInputError: the page does not hold each part once.
     """
-    parts = []
-    for task in dict.fromkeys(result.task for result in results):
-        own = [result for result in results if result.task == task]
-        parts.append(f"### {task}\n\n{table(own, paper.get(task))}")
-        parts.append(f"What one adds over the other on the {task}:\n\n{comparison_table(own)}")
-    try:
-        return replaced(page, PART, "\n\n".join(parts))
-    except ValueError as error:
-        raise BadInputError(f"the page: {error}") from error
+    cases = list(dict.fromkeys(result.case for result in results))
+    for part, tables in experiment.tables.items():
+        apart = any("{case}" in table.title for table in tables)
+        texts = []
+        for group in [[case] for case in cases] if apart else [cases] if cases else []:
+            for table in tables:
+                title = f"{table.title.format(case=group[0])}\n\n" if table.title else ""
+                texts.append(title + table_text(table, experiment, results, group))
+        page = replaced(page, part, "\n\n".join(texts) or "Nothing is measured yet of the default as it stands.")
+    return page
 
 
-def _seeds(seeds: Sequence[int]) -> str:
-    """Return whole numbers, of which neighbours are written as a range."""
+def table_text(table: Table, experiment: Experiment, results: Sequence[Result], cases: Sequence[str]) -> str:
+    """Return the Markdown table of the results in some cases; a row of which nothing is known is left out.
+
+    Of two lines that are compared, the first is said to add what is better in every seed, to the digit shown, and to
+    cost what is worse in every seed.
+    """
+    rows: list[list[str]] = []
+    before: list[str] = []
+    for labels, own, beside in _rows(table, experiment, results, cases):
+        cells = [cell(column, own, beside) for column in table.columns.values()]
+        if set(cells) == {_UNKNOWN}:
+            continue
+        if table.comparisons and beside is not None:
+            cells += [_verdict(table, own, beside, signs) for signs in (_BETTER, _WORSE)]
+        # A label is not said again below itself.
+        said = next((place for place, pair in enumerate(zip(labels, before, strict=False)) if pair[0] != pair[1]), 0)
+        rows.append([*[""] * said, *labels[said:], *cells])
+        before = labels
+    return rows_table([*table.labels, *table.columns, *((_ADDS, _COSTS) if table.comparisons else ())], rows)
+
+
+def _rows(
+    table: Table, experiment: Experiment, results: Sequence[Result], cases: Sequence[str]
+) -> Iterator[tuple[list[str], list[Result], list[Result] | None]]:
+    """Yield the labels of every row, its results, and those with the same seeds that they are shown less, if any."""
+    found: dict[tuple[str, str], list[Result]] = {}
+    for result in results:
+        found.setdefault((result.case, result.line), []).append(result)
+    if table.comparisons:
+        rows = [(case, *pair, about) for case in cases for about, pair in table.comparisons.items()]
+    elif table.beside:
+        lines = {line: "" if line == table.beside else table.beside for line in experiment.lines}
+        rows = [(case, line, other, experiment.lines[line]) for line, other in lines.items() for case in cases]
+    else:
+        rows = [(case, line, "", about) for case in cases for line, about in experiment.lines.items()]
+    for case, line, other, about in rows:
+        own, beside = found.get((case, line), []), found.get((case, other), []) if other else None
+        if beside is not None:
+            common = {result.seed for result in own} & {result.seed for result in beside}
+            own, beside = ([result for result in side if result.seed in common] for side in (own, beside))
+        name, below, _ = line.partition("/")
+        variant = experiment.variants[name]
+        labels = {
+            "case": case,
+            "about": about,
+            "config": experiment.config(*(() if below else variant.train), *variant.measure),
+            "undoes": ", ".join(f"D{number}" for number in variant.undoes) or _UNKNOWN,
+            "seeds": _seeds(own),
+        }
+        yield [labels[label] for label in table.labels.values()], own, beside
+
+
+def _seeds(results: Sequence[Result]) -> str:
+    """Return the seeds of results; neighbours are written as a range."""
     parts: list[list[int]] = []
-    for seed in sorted(seeds):
+    for seed in sorted(result.seed for result in results if result.seed is not None):
         if parts and seed == parts[-1][-1] + 1:
             parts[-1].append(seed)
         else:
             parts.append([seed])
-    return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}–{part[-1]}" for part in parts)
+    return ", ".join(str(part[0]) if len(part) == 1 else f"{part[0]}–{part[-1]}" for part in parts) or _UNKNOWN
+
+
+def cell(column: Column, own: Sequence[Result], beside: Sequence[Result] | None = None) -> str:
+    """Return the values of some seeds put together; less the values of others with the same seeds, unless counted."""
+    if beside is not None and column.show != "true of all":
+        return stated(_differences(column, own, beside), "mean (least to most)", partial(signed, kind=column.kind))
+    known = [value for result in own if (value := result.values[column.value]) is not None]
+    return stated(known, column.show, _FORMATS["whole" if column.show == "true of all" else column.kind])
+
+
+def stated(values: Sequence[float], show: str, text: Callable[[float], str]) -> str:
+    """Return what ``show`` says of values; what it has in brackets is left out where all its numbers look the same."""
+    if not values:
+        return _UNKNOWN
+    found = re.sub("|".join(_STATS), lambda match: text(_STATS[match[0]](values)), show)
+    first, _, rest = found.rstrip(")").partition(" (")
+    return first if rest and set(rest.split(" to ")) == {first} else found
+
+
+def signed(value: float, kind: Kind) -> str:
+    """Return a difference with its sign, none where it shows as zero."""
+    text = _FORMATS[kind](abs(value))
+    return text if not text.strip("0.") else ("+" if value > 0 else "−") + text
+
+
+def _differences(column: Column, own: Sequence[Result], beside: Sequence[Result]) -> list[float]:
+    others = {result.seed: result.values[column.value] for result in beside}
+    pairs = [(result.values[column.value], others[result.seed]) for result in own]
+    return [one - other for one, other in pairs if one is not None and other is not None]
+
+
+def _verdict(table: Table, own: Sequence[Result], beside: Sequence[Result], signs: dict[str, str]) -> str:
+    """Return the headings of the columns whose differences all have the sign that is given for what is better there."""
+    found = []
+    for heading, column in table.columns.items():
+        texts = [signed(value, column.kind) for value in _differences(column, own, beside)]
+        if texts and column.better and all(text.startswith(signs[column.better]) for text in texts):
+            found.append(heading.partition(" [")[0])
+    return ", ".join(found) or "nothing"

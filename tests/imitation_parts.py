@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from imitation.imitator import Imitator
+from imitation.inferred import Imitator
 from parts import load_parts
 from small_run import SMALL
 

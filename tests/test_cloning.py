@@ -2,9 +2,8 @@
 
 import numpy as np
 import torch
-from imitation.cloning import Noise, clone
-from imitation.imitator import Imitator
-from imitation.inferred import demonstrated_steps, demonstrated_transitions
+from imitation.cloning import Cloning, Noise
+from imitation.inferred import Imitator, demonstrated_steps, demonstrated_transitions
 from imitation_parts import parameters, short, success
 
 from koopdqn import pose
@@ -15,7 +14,9 @@ NOISE = Noise(position_m=0.004, rotation_rad=0.05)
 
 
 def cloned(seed: int = 0, updates: int = 400, frame: StartFrame = STILL, noise: Noise | None = None) -> Imitator:
-    return clone(short().trajectories, short().cell.task, short().agent, seed, updates, frame, noise)
+    cloning = Cloning(short().trajectories, short().cell.task, short().agent, seed, frame, noise)
+    cloning.update(updates)
+    return Imitator(cloning.policy, cloning.updates)
 
 
 def test_it_takes_the_demonstrated_actions_where_they_were_taken() -> None:

@@ -1,6 +1,7 @@
 """What the documentation shows is real: commands, Python, files, links and generated parts."""
 
 import importlib.util
+import json
 import re
 import shlex
 import subprocess
@@ -10,11 +11,13 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from experiment import load
 from omegaconf import OmegaConf
 from typer.main import get_command
 
 from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.schema import ReportModel
 
@@ -182,10 +185,10 @@ def test_a_config_is_composed_in_python_where_no_command_has_begun() -> None:
     assert (done.returncode, done.stdout) == (0, "shelf\n"), done.stderr
 
 
-def test_the_example_observables_fit(lab: Path, docs: ModuleType) -> None:
+def test_the_example_observables_fit(lab: Path) -> None:
     [line] = [line for line in command_lines() if "--config-dir" in line]
     assert cli.main([*line, "demo.count=2", f"out={lab / 'fitted'}"]) == 0
-    report = docs._json(lab / "fitted" / "fit.json")
+    report = json.loads((lab / "fitted" / "fit.json").read_text(encoding="utf-8"))
     assert (report["intent"], report["lifted_dimension"]) == ("powers", 9)
 
 
@@ -228,13 +231,15 @@ def test_units_are_those_of_the_key_or_of_the_object_it_is_in(docs: ModuleType) 
     assert units["success_rate"] == units["failures"] == units["dynamics.contacts.steps"] == "–"
 
 
-def test_the_measured_parts_are_all_there_and_filled(docs: ModuleType) -> None:
+def test_the_measured_parts_are_all_there_and_filled() -> None:
+    figures = load("figures")
     parts = dict(re.findall(r"<!-- begin: (\S+) -->\n(.*?)<!-- end: \1 -->", README, re.DOTALL))
-    assert set(parts) == {"demo", "machine", *docs.MEASURED}
-    for task in docs.TASKS:
-        for name in docs.MEASURED:
+    assert set(parts) == {*figures.printed, figures.machine, *figures.tables}
+    for task in figures.cases:
+        for name in figures.tables:
             assert f"| {task} |" in parts[name], f"{name}: run `make figures`"
-        assert (ROOT / "docs" / "images" / f"{task}.png").read_bytes().startswith(b"\x89PNG")
+    for picture in figures.pictures:
+        assert (ROOT / picture).read_bytes().startswith(b"\x89PNG")
     assert "success" in parts["demo"]
     assert re.search(r"Measured on \d+ cores; the load average before the first run was \d+\.\d\.", parts["machine"])
 
@@ -244,28 +249,5 @@ def test_a_generated_part_is_replaced_and_nothing_else(docs: ModuleType) -> None
     new = docs.replaced(text, "a", "new \\1")
     assert new == "before\n<!-- begin: a -->\n\nnew \\1\n\n<!-- end: a -->\nafter\n"
     assert docs.replaced(new, "a", "new \\1") == new
-    with pytest.raises(ValueError, match="part b must stand in the text once, found it 0 times"):
+    with pytest.raises(BadInputError, match="part b must stand in the text once, found it 0 times"):
         docs.replaced(text, "b", "new")
-
-
-def measured(seconds: float, mean: float) -> dict[str, Any]:
-    method = {"success_rate": 1.0, "path_deviation_mm": {"mean": mean}, "lateral_deviation_mm": {"mean": mean / 2}}
-    fit = {"demonstrations": 5, "one_step_error_m": {"rms": 1e-3 * mean}}
-    rolled = {"reached_goal": 4, "median_hausdorff": 2e-3 * mean}
-    train = {"learned": True, "seconds": seconds, "env_steps": 1000, "oracle_queries": 3}
-    return {
-        "train": {**train, "reward_agreement": {"trusted": 0.99}},
-        "eval": {**method, "baselines": {"greedy": method}},
-        "fit": {name: {**fit, "roll_out_error_m": rolled} for name in ("pose", "paper")},
-    }
-
-
-def test_the_measured_tables_give_means_and_ranges(docs: ModuleType) -> None:
-    runs = {"shelf": [measured(10.0, 20.0), measured(14.0, 30.0)]}
-    learning = docs.learning_table(runs).splitlines()[2]
-    assert learning == "| shelf | 2 of 2 | 12 s (10–14) | 1,000 | 3 | 99.0% |"
-    policy, greedy = docs.results_table(runs).splitlines()[2:]
-    assert policy == "| shelf | policy | 100.0% | 25.0 mm (20.0–30.0) | 12.5 mm (10.0–15.0) |"
-    assert greedy == policy.replace("policy", "greedy")
-    intent = docs.intent_table(runs).splitlines()[2]
-    assert intent == "| shelf | `intent=pose` | 25.00 mm (20.00–30.00) | 8 of 10 | 50.0 mm (40.0–60.0) |"

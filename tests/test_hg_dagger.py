@@ -2,18 +2,18 @@
 
 import numpy as np
 import torch
-from imitation.hg_dagger import HgDagger
-from imitation.imitator import Imitator
+from imitation.cloning import Cloning
+from imitation.hg_dagger import corrected
+from imitation.inferred import Imitator
 from imitation_parts import STEP_LIMIT, parameters, short
 
 
-def begun(seed: int = 0) -> HgDagger:
-    known = short()
-    return HgDagger(known.cell, known.trajectories, known.agent, seed, STEP_LIMIT)
+def begun(seed: int = 0) -> Cloning:
+    return Cloning(short().trajectories, short().cell.task, short().agent, seed)
 
 
 def taught(questions: int, seed: int = 0) -> Imitator:
-    return begun(seed).run(questions, updates=20, updates_per_label=5)
+    return corrected(begun(seed), short().cell, seed, STEP_LIMIT, questions, updates=20, updates_per_label=5)
 
 
 def test_no_more_labels_are_asked_for_than_allowed_and_learning_follows_each() -> None:
@@ -29,10 +29,10 @@ def test_without_questions_it_is_cloning_and_the_arm_stays_where_it_is() -> None
 
 
 def test_the_labels_are_what_the_expert_would_do_where_the_policy_was_wrong() -> None:
-    begun_with = begun()
-    begun_with.run(6, updates=20, updates_per_label=200)
-    observations, actions = begun_with.cloning.labels
-    values = begun_with.cloning.policy.network.values(observations)
+    cloning = begun()
+    corrected(cloning, short().cell, 0, STEP_LIMIT, 6, updates=20, updates_per_label=200)
+    observations, actions = map(np.array, zip(*cloning.labels, strict=True))
+    values = cloning.policy.network.values(observations)
     assert len(actions) == 6
     assert np.array_equal(values.argmax(axis=1), actions)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers_shown import arc
-from primitives import PRIMITIVES, learn
+from imitation.primitives import PRIMITIVES, learn
 
 from koopdqn import pose
 

@@ -1,14 +1,34 @@
-"""Which actions demonstrations stand for: poses alone are demonstrated, so actions are inferred."""
+"""What imitating begins with, the actions that demonstrated poses stand for, and what it ends with."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
 from koopdqn.rl.network import observe
+from koopdqn.rl.policy import Policy
 from koopdqn.rl.replay_buffer import Transitions
 from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
+
+
+@dataclass(frozen=True)
+class Imitator:
+    """A policy learned without intent model and reward.
+
+    Attributes:
+        policy: the argmax of its network.
+        updates: updates of the network.
+        env_steps: actions tried in the environment.
+        questions: labels that an expert was asked for.
+    """
+
+    policy: Policy
+    updates: int
+    env_steps: int = 0
+    questions: int = 0
 
 
 def demonstrated_steps(trajectories: list[Array], task: Task) -> tuple[Array, Array, Array, np.ndarray]:

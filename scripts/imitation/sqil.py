@@ -7,8 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from imitation.imitator import Imitator
-from imitation.inferred import demonstrated_transitions
+from imitation.inferred import Imitator, demonstrated_transitions
 from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import Learner
@@ -52,25 +51,14 @@ class Sqil:
         gamma: float = 0.8,
         frame: StartFrame = STILL,
     ) -> None:
-        """Begin.
+        """Begin from demonstrated poses (N, 7) at the agent's step; the seed fixes everything.
 
-        Args:
-            workcell: task, arm and scene.
-            trajectories: demonstrated poses (N, 7) at the agent's step.
-            agent: how it learns; γ and its pace apart, and wrong actions are not stepped back from.
-            seed: fixes everything.
-            step_limit: steps after which an episode is cut.
-            gamma: γ; larger than the agent's, since only demonstrated steps are rewarded.
-            frame: in which poses are observed.
+        The agent's γ and pace do not count: γ is larger, since only demonstrated steps are rewarded.
         """
-        task = workcell.task
-        self._workcell = workcell
-        self._frame = frame
+        task, shown = workcell.task, demonstrated_transitions(trajectories, workcell.task, frame)
+        self._workcell, self._frame = workcell, frame
         self._agent = agent.model_copy(update={"gamma": gamma, **_SLOWER})
-        self._shown = demonstrated_transitions(trajectories, task, frame)
-        self._shown = replace(
-            self._shown, rewards=np.where(self._shown.terminated, 1.0, 1.0 - gamma).astype(np.float32)
-        )
+        self._shown = replace(shown, rewards=np.where(shown.terminated, 1.0, 1.0 - gamma).astype(np.float32))
         weights, self._explore, self._draw = (np.random.default_rng([seed, _STREAM, part]) for part in range(3))
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
@@ -112,10 +100,7 @@ class Sqil:
         return Policy(deepcopy(self.learner.policy_network), self._workcell.task, self._frame)
 
     def batch(self) -> Transitions:
-        """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own.
-
-        Needs at least one action tried.
-        """
+        """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own."""
         half = self._agent.batch
         rows = self._draw.integers(len(self._shown.actions), size=half)
         own = self._replay.sample(self._draw, half)

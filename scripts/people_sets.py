@@ -1,0 +1,90 @@
+"""Motions of people: sets of demonstrations of one motion below a folder, one of which at a time is held out.
+
+A set is a CSV file of several demonstrations, or a folder of files of one each (CSV, or what ``rostopic echo -p``
+prints), of at least three.
+"""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from imitation.primitives import PRIMITIVES, learn
+
+from koopdqn import console, pose
+from koopdqn.demonstrations.csv import read_csv
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.errors import BadInputError
+from koopdqn.files import read_json, write_json
+from koopdqn.paths import hausdorff, mean_poses, to_count
+
+LEAST: Final = 3
+"""Demonstrations of a set worth measuring: two to learn from and one held out."""
+_SAMPLES: Final = 200
+_NANOSECONDS: Final = 1e-9
+
+
+def sets_below(data: Path) -> dict[str, tuple[Demonstration, ...]]:
+    """Return the sets below a folder by their names; what cannot be read is said."""
+    found: dict[str, tuple[Demonstration, ...]] = {}
+    for folder in sorted({path.parent for path in data.rglob("*") if path.suffix in (".csv", ".txt")}):
+        single: list[Demonstration] = []
+        for path in sorted(path for path in folder.iterdir() if path.suffix in (".csv", ".txt")):
+            try:
+                items = _rostopic(path) if path.suffix == ".txt" else read_csv(path)
+            except BadInputError as error:
+                console.note(f"left out: {error}")
+                continue
+            if len(items) >= LEAST:
+                found[f"{folder.name}-{path.stem}"] = tuple(items)
+            else:
+                single += items
+        if len(single) >= LEAST:
+            found[folder.name] = tuple(single)
+    return found
+
+
+def _rostopic(path: Path) -> list[Demonstration]:
+    """Return the one demonstration of what ``rostopic echo -p`` printed: nanoseconds, quaternions x y z w."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    if not rows or "%time" not in rows[0]:
+        raise BadInputError(f"{path}: must have a column %time, found {sorted(rows[0]) if rows else 'no rows'}")
+    before = next((name.removesuffix("position.x") for name in rows[0] if name.endswith("position.x")), None)
+    if before is None:
+        raise BadInputError(f"{path}: must have a column that ends in position.x, found {sorted(rows[0])}")
+    columns = [f"{before}position.{axis}" for axis in "xyz"] + [f"{before}orientation.{axis}" for axis in "wxyz"]
+    times = np.array([int(row["%time"]) for row in rows])
+    poses = np.array([[float(row[name]) for name in columns] for row in rows])
+    new = np.concatenate([[True], np.diff(times) > 0])
+    return [Demonstration((times[new] - times[0]) * _NANOSECONDS, poses[new])]
+
+
+def write(items: Sequence[Demonstration], held_out: int, path: Path) -> None:
+    """Write a set with the demonstration held out at its end, unless the file is there."""
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        others = [item for index, item in enumerate(items) if index != held_out]
+        write_hdf5(path, Demonstrations("demonstrated", "unknown", (*others, items[held_out])))
+
+
+def beside(folder: Path, run: Path) -> dict[str, Any]:
+    """Return how far movement primitives of the demonstrations are from the one held out, and keep it in the folder.
+
+    Returns:
+        ``placed``: whether the demonstrations were moved to where the arm can follow them; ``hausdorff_mm``: by the
+        name of the primitive, which is given the start of the one held out and the mean of the others' ends.
+    """
+    path = folder / "result.json"
+    if not path.is_file():
+        *shown, held_out = (to_count(item.poses, _SAMPLES) for item in read_hdf5(run / "demos.hdf5").items)
+        goal = mean_poses(shown, _SAMPLES)[-1]
+        found = {}
+        for name in PRIMITIVES:
+            way = learn(name, shown)(held_out[0], goal)
+            found[name] = 1e3 * hausdorff(way[:, pose.POSITION], held_out[:, pose.POSITION])
+        write_json(path, {"placed": run.name == "placed", "hausdorff_mm": found})
+    content: dict[str, Any] = read_json(path, "the result")
+    return content

@@ -1,0 +1,40 @@
+"""Sets of people's motions."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_shown import arc, recorded
+from people_sets import sets_below
+
+from koopdqn import pose
+from koopdqn.demonstrations.csv import write_csv
+
+
+def rostopic(path: Path, poses: pose.Array) -> None:
+    """Write poses (N, 7) as ``rostopic echo -p`` prints them, the first one twice."""
+    axes = [*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw")]
+    lines = [",".join(["%time", *(f"field.pose.{name}" for name in axes)])]
+    for time, row in zip([0, *range(len(poses))], np.concatenate([poses[:1], poses]), strict=True):
+        lines.append(",".join(map(str, [1_000_000_000 + 10_000_000 * time, *row[:3], *row[4:], row[3]])))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def test_a_set_is_a_file_of_several_or_a_folder_of_single_ones(tmp_path: Path) -> None:
+    for index in range(3):
+        rostopic(tmp_path / "kinova" / f"take{index}.txt", arc(0.01 * index))
+    (tmp_path / "lab").mkdir()
+    write_csv(tmp_path / "lab" / "three.csv", [recorded(arc())] * 3)
+    write_csv(tmp_path / "lab" / "two.csv", [recorded(arc())] * 2)
+    found = sets_below(tmp_path)
+    assert {name: len(items) for name, items in found.items()} == {"kinova": 3, "lab-three": 3}
+    np.testing.assert_allclose(found["kinova"][1].poses, arc(0.01))
+    np.testing.assert_allclose(found["kinova"][1].times, 0.01 * np.arange(200), atol=1e-9)
+
+
+@pytest.mark.parametrize(("head", "told"), [("a,b", "a column %time"), ("%time,b", "ends in position.x")])
+def test_what_cannot_be_read_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], head: str, told: str) -> None:
+    (tmp_path / "odd.txt").write_text(f"{head}\n1,2\n", encoding="utf-8")
+    assert sets_below(tmp_path) == {}
+    assert told in " ".join(capsys.readouterr().err.split())
