@@ -22,7 +22,7 @@ from koopdqn.app.recording.log import KeyLine, SessionLine
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
 from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
-from koopdqn.report.runs import ReportFile
+from koopdqn.report.schema import ReportFile, SweepFile
 from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
 
@@ -43,6 +43,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "keys.jsonl, key": KeyLine,
     "eval.json": EvaluationFile,
     "report.json": ReportFile,
+    "sweep.json": SweepFile,
 }
 """The generated tables of docs/files.md and the schemas they come from."""
 
