@@ -55,9 +55,7 @@ def _roll_out_error(model: IntentModel, held_out: Array, task: Task) -> dict[str
 def held_out_inside(
     trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
 ) -> list[np.ndarray]:
-    """Return whether the trust domain of the others holds each pose of each demonstration, (N,) each.
-
-    Nothing comes of a single demonstration.
+    """Return whether the trust domain of the others holds each pose of each demonstration, (N,); none for a single one.
 
     Args:
         trajectories: demonstrated poses (N, 7).

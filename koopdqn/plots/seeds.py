@@ -71,9 +71,10 @@ def _checks(axes: Axes, reports: Sequence[Mapping[str, Any]]) -> None:
     axes.legend(loc="upper center", ncols=6)
 
 
-SWEEP_WIDTH, ROW, AROUND = 1560, 46, 220
-"""Width of the picture, height of a variant's row, and of what stands around the rows [pixels]."""
-_JITTER: Final = 0.22
+SWEEP_WIDTH, LINE, AROUND = 1560, 22, 220
+"""Width of the picture, height of a line of a variant's label, and of what stands around the rows [pixels]."""
+_JITTER: Final = 0.16
+"""Over how much of its row, to each side, the dots of a variant's runs are spread."""
 
 
 def plot_sweep(path: Path, title: str, variants: Sequence[tuple[str, Mapping[str, Sequence[float]]]]) -> None:
@@ -89,7 +90,8 @@ def plot_sweep(path: Path, title: str, variants: Sequence[tuple[str, Mapping[str
         BadInputError: the file cannot be written.
     """
     names = list(variants[0][1])
-    with picture(path, title, SWEEP_WIDTH, AROUND + ROW * len(variants)) as figure:
+    row_height = LINE * max(2, *(label.count("\n") + 2 for label, _ in variants))
+    with picture(path, title, SWEEP_WIDTH, AROUND + row_height * len(variants)) as figure:
         panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
         for axes, name in zip(panels, names, strict=True):
             for row, (_, quantities) in enumerate(variants):
@@ -108,12 +110,15 @@ def plot_sweep(path: Path, title: str, variants: Sequence[tuple[str, Mapping[str
                     "capsize": 4,
                 }
                 axes.errorbar(values.mean(), row, xerr=deviation, **bar)
-            if not any(len(quantities[name]) for _, quantities in variants):
+            known = [value for _, quantities in variants for value in quantities[name]]
+            if not known:
                 note: dict[str, Any] = {"transform": axes.transAxes, "ha": "center", "va": "center", "color": RED}
                 axes.text(0.5, 0.5, "not measured", **note)
-                axes.set_xticks([])
-            else:
-                axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+                axes.tick_params(labelbottom=False)
+            # Every quantity is 0 or more; a share has an end.
+            end = 100.0 if name.endswith("[%]") else max([*known, axes.get_xlim()[1]])
+            axes.set_xlim(-0.04 * end, 1.04 * end)
+            axes.locator_params(axis="x", nbins=5)
             axes.set_xlabel(name)
             axes.grid(False, axis="y")
         panels[0].set_yticks(range(len(variants)), [label for label, _ in variants])
