@@ -15,7 +15,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
 from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
-from koopdqn.report.runs import ReportFile
+from koopdqn.report.schema import ReportFile, SweepFile
 from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
 
@@ -33,6 +33,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "keys.jsonl, key": KeyLine,
     "eval.json": EvaluationFile,
     "report.json": ReportFile,
+    "sweep.json": SweepFile,
 }
 """The generated tables of docs/files.md and the schemas they come from."""
 

@@ -130,3 +130,12 @@ def first(demonstrations: Demonstrations, count: int) -> Demonstrations:
     """Return the first few demonstrations of a set."""
     items: Sequence[Any] = demonstrations.items[:count]
     return Demonstrations(demonstrations.task, demonstrations.arm, items)
+
+
+def write_swept(folder: Path, parts: Parts, seed: int, *overrides: str, finished: bool = True) -> None:
+    """Write what a job of a sweep leaves: its overrides and, if it is finished, its report."""
+    given = ["task=shelf", *overrides, f"seed={seed}", "command=train", f"out={folder}"]
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "overrides.yaml").write_text("".join(f"- {item}\n" for item in given))
+    if finished:
+        write_json(folder / "train.json", train_report(parts, seed))

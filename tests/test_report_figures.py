@@ -4,21 +4,18 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import numpy as np
 import pytest
-from parts import straight_poses
 from PIL import Image
 from report_runs import knife_parts, train_report
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
+from koopdqn.plots.poses import best_view, close_view, joints_of, plot_paths, plot_poses
+from koopdqn.plots.prediction import Errors, line_distance, plot_errors, plot_line_error, plot_line_fit
+from koopdqn.plots.seeds import plot_rewards, plot_sweep
+from koopdqn.plots.steps import half_turn, plot_components, plot_turn, spans
 from koopdqn.plots.style import ASK
-from koopdqn.report.figures.components import plot_components, spans
-from koopdqn.report.figures.errors import line_distance, plot_errors, plot_line_error, plot_line_fit
-from koopdqn.report.figures.poses import best_view, close_view, joints_of, plot_paths, plot_poses
-from koopdqn.report.figures.rewards import WINDOW, plot_rewards, running_mean
-from koopdqn.report.figures.turn import plot_turn, travelled_at_half_turn
-from koopdqn.report.figures.workflow import plot_workflow
-from koopdqn.report.intents import HeldOut, IntentStudy
-from koopdqn.report.runs import Run
+from koopdqn.plots.train import WINDOW, running_mean
+from koopdqn.plots.workflow import plot_workflow
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,20 +58,19 @@ def handed(knife: "KnifeTask") -> "list[Array]":
     return [knife.demonstrator.roll_out(start, 600) for start in starts]
 
 
-def invented(parts: "Parts", asked: np.ndarray) -> dict[str, IntentStudy]:
+def invented(asked: np.ndarray) -> dict[str, Errors]:
     rng = np.random.default_rng(0)
-    error, sixty = (rng.uniform(0, 1e-3, (count, 2)) for count in (len(asked), 59))
-    held_out = HeldOut(0, error, error, asked, sixty)
-    return {name: IntentStudy(name, parts.reward, {}, held_out) for name in ("paper", "pose")}
+    error, sixty = (rng.uniform(0, 1, count) for count in (len(asked), 59))
+    return {name: Errors(error, None if name == "paper" else error, asked, sixty) for name in ("paper", "pose")}
 
 
 def test_the_workflow(tmp_path: Path) -> None:
     check_drawn(tmp_path, plot_workflow)
 
 
-@pytest.mark.parametrize("part", ["position", "orientation"])
-def test_components(tmp_path: Path, trajectories: "list[Array]", shelf_task: "ShelfTask", part: str) -> None:
-    check_drawn(tmp_path, lambda path: plot_components(path, trajectories, shelf_task, part, 3.0, "Shelf"))  # type: ignore[arg-type]  # one of the two literals
+@pytest.mark.parametrize("part", [0, 3])
+def test_components(tmp_path: Path, trajectories: "list[Array]", shelf_task: "ShelfTask", part: int) -> None:
+    check_drawn(tmp_path, lambda path: plot_components(path, trajectories, shelf_task, part, 3.0))
 
 
 def test_spans_hold_every_pose_and_what_is_held_has_none(trajectories: "list[Array]", shelf_task: "ShelfTask") -> None:
@@ -87,43 +83,40 @@ def test_spans_hold_every_pose_and_what_is_held_has_none(trajectories: "list[Arr
     assert found["roll"] == found["pitch"] == found["yaw"] == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("quantity", ["position", "rotation"])
-def test_steps_at_which_the_expert_is_asked_are_shaded(
-    tmp_path: Path, parts: "Parts", shelf_task: "ShelfTask", quantity: str
-) -> None:
+@pytest.mark.parametrize("bounds", [True, False])
+def test_steps_at_which_the_expert_is_asked_are_shaded(tmp_path: Path, bounds: bool) -> None:
     shares = []
     for count in (0, 50, 100):
-        studies = invented(parts, np.arange(100) < count)
-        pixels = check_drawn(
-            tmp_path,
-            lambda path, studies=studies: plot_errors(path, studies, shelf_task, quantity, "Errors", bounds=True),  # type: ignore[arg-type,misc]  # one of the two literals; a default that is no constant
-        )
-        shares.append(share_of(pixels, ASK))
+        errors = invented(np.arange(100) < count)
+
+        def draw(path: Path, errors: dict[str, Errors] = errors) -> None:
+            plot_errors(path, "Errors", errors, "mm", 2.0, bounds=bounds)
+
+        shares.append(share_of(check_drawn(tmp_path, draw), ASK))
     assert shares[0] == 0.0
     assert 0.4 < shares[1] / shares[2] < 0.6
 
 
-def test_a_straight_even_path_is_its_own_line_fit(shelf_task: "ShelfTask") -> None:
-    quaternion = shelf_task.goal[pose.QUATERNION]
-    straight = straight_poses(np.zeros(3), np.array([0.3, -0.2, 0.1]), 40, quaternion)
+def test_a_straight_even_path_is_its_own_line_fit() -> None:
+    straight = np.linspace([0.0, 0.0, 0.0], [0.3, -0.2, 0.1], 40)
     assert line_distance(straight).max() < 1e-12
     bent = straight.copy()
     bent[20, 2] += 0.01
     assert line_distance(bent).argmax() == 20
 
 
-def test_line_fit(tmp_path: Path, trajectories: "list[Array]", parts: "Parts") -> None:
-    check_drawn(tmp_path, lambda path: plot_line_fit(path, trajectories[0]))
-    studies = invented(parts, np.zeros(len(trajectories[0]) - 1, dtype=bool))
-    check_drawn(tmp_path, lambda path: plot_line_error(path, trajectories[0], studies))
+def test_line_fit(tmp_path: Path, trajectories: "list[Array]") -> None:
+    positions = trajectories[0][:, pose.POSITION]
+    check_drawn(tmp_path, lambda path: plot_line_fit(path, positions))
+    errors = {name: np.linspace(0.1, 1.0, len(positions) - 1) for name in ("paper", "pose")}
+    check_drawn(tmp_path, lambda path: plot_line_error(path, positions, errors))
 
 
 @pytest.mark.parametrize("episodes", [0, WINDOW - 1, 60])
 @pytest.mark.parametrize("seeds", [1, 3])
 def test_rewards_of_few_and_many_episodes(tmp_path: Path, parts: "Parts", episodes: int, seeds: int) -> None:
     reports = [train_report(parts, seed, episodes + seed * (episodes > 0)) for seed in range(seeds)]
-    runs = [Run(tmp_path, report, {}, parts.task, parts.arm) for report in reports]
-    check_drawn(tmp_path, lambda path: plot_rewards(path, runs, "Rewards"))
+    check_drawn(tmp_path, lambda path: plot_rewards(path, reports, "Rewards"))
 
 
 def test_the_running_mean_is_the_mean_of_its_window() -> None:
@@ -136,7 +129,16 @@ def test_the_turn_is_half_done_early(tmp_path: Path, handed: "list[Array]", knif
     check_drawn(tmp_path, lambda path: plot_turn(path, handed, knife, 0))
     for path in handed:
         # Lifting the knife leads away from the goal at first, by a little.
-        assert -0.1 < travelled_at_half_turn(path, knife) < 1 / 3
+        assert -0.1 < half_turn(path, knife)[1] < 1 / 3
+
+
+def test_a_sweep_is_drawn_with_quantities_that_nobody_measured(tmp_path: Path) -> None:
+    variants = [
+        ("intent=paper", {"time [s]": [3.0, 4.0, 8.0], "deviation [mm]": []}),
+        ("as given", {"time [s]": [2.0]}),
+    ]
+    variants[1][1]["deviation [mm]"] = []
+    check_drawn(tmp_path, lambda path: plot_sweep(path, "Sweep", variants))
 
 
 def test_poses_on_the_arm(tmp_path: Path, workcell: "Workcell", demonstrations: "Demonstrations") -> None:

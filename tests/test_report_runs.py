@@ -9,14 +9,13 @@ from report_runs import knife_parts, write_evaluation, write_run
 from koopdqn.app.commands.report import all_presets
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
-from koopdqn.report.groups import DEFAULT, PAPER, group_runs
-from koopdqn.report.runs import find_runs
+from koopdqn.report.runs import DEFAULT, PAPER, find_runs, group_runs
 
 if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
-    from koopdqn.report.groups import Presets
+    from koopdqn.report.runs import Presets
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_a_damaged_run_is_left_out_with_the_reason(
         (bad / name).write_bytes(b"{}")
     runs, [skipped] = find_runs([tmp_path])
     assert [run.folder for run in runs] == [good]
-    assert skipped.folder == bad
+    assert skipped.folder == str(bad)
     assert name in skipped.reason
 
 
@@ -106,11 +105,11 @@ def test_runs_are_grouped_by_preset_and_ordered_by_seed(
         write_run(tmp_path / f"default{seed}", parts, demonstrations, seed)
     write_run(tmp_path / "paper", paper, demonstrations, 5)
     groups, left_out = group_runs(find_runs([tmp_path])[0], presets)
-    assert {place: [run.seed for run in group.runs] for place, group in groups.items()} == {
+    assert {place: [run.seed for run in runs] for place, runs in groups.items()} == {
         ("shelf", DEFAULT): [0, 1, 2],
         ("shelf", PAPER): [5],
     }
-    assert groups["shelf", DEFAULT].first.seed == 0
+    assert groups["shelf", DEFAULT][0].seed == 0
     assert left_out == []
 
 
@@ -122,7 +121,7 @@ def test_of_one_seed_the_evaluated_run_is_shown_and_else_the_newest(
 
     def shown() -> tuple[list[str], list[str]]:
         groups, left_out = group_runs(find_runs([tmp_path])[0], presets)
-        return [run.folder.name for run in groups["shelf", DEFAULT].runs], [item.folder.name for item in left_out]
+        return [run.folder.name for run in groups["shelf", DEFAULT]], [Path(item.folder).name for item in left_out]
 
     assert shown() == (["new"], ["old"])
     write_evaluation(tmp_path / "eval", parts, str(tmp_path / "old"))
@@ -139,11 +138,11 @@ def test_of_two_configurations_that_of_the_config_tree_is_shown_and_else_the_lar
         write_run(tmp_path / f"two{seed}", other(0.5), demonstrations, seed, age=10)
     write_run(tmp_path / "one", other(0.6), demonstrations)
     groups, left_out = group_runs(find_runs([tmp_path])[0], presets)
-    assert [run.folder.name for run in groups["shelf", DEFAULT].runs] == ["two0", "two1"]
-    assert [item.folder.name for item in left_out] == ["one"]
+    assert [run.folder.name for run in groups["shelf", DEFAULT]] == ["two0", "two1"]
+    assert [Path(item.folder).name for item in left_out] == ["one"]
     write_run(tmp_path / "present", parts, demonstrations, 4, age=20)
     groups, left_out = group_runs(find_runs([tmp_path])[0], presets)
-    assert [run.folder.name for run in groups["shelf", DEFAULT].runs] == ["present"]
+    assert [run.folder.name for run in groups["shelf", DEFAULT]] == ["present"]
     assert len(left_out) == 3
 
 

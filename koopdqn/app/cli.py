@@ -42,8 +42,13 @@ _COMMANDS = {
         ("koopdqn eval", "koopdqn eval run=DIR --json"),
     ),
     "report": (
-        "Draw the paper's figures and tables beside ours, from finished runs.",
-        ("koopdqn report", "koopdqn report --make", "koopdqn report 'report.runs=[DIR,DIR]'"),
+        "Draw the paper's figures and tables beside ours, from finished runs; or gather a sweep.",
+        (
+            "koopdqn report",
+            "koopdqn report --make",
+            "koopdqn report 'report.runs=[DIR,DIR]'",
+            "koopdqn report sweep=DIR  (of koopdqn train -m: its runs in one table and plot)",
+        ),
     ),
     "import": (
         "Read real demonstrations (CSV or HDF5), check them and keep them as one HDF5 file.",

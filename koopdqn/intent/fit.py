@@ -52,27 +52,37 @@ def _roll_out_error(model: IntentModel, held_out: Array, task: Task) -> dict[str
     return {"final": min(final, 1e3), "hausdorff": min(far, 1e3)}
 
 
-def trust_summary(
-    domain: TrustDomain, trajectories: list[Array], signs: list[Array], task: Task, fresh: list[Array]
-) -> dict[str, Any]:
+def held_out_inside(
+    trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
+) -> list[np.ndarray]:
+    """Return whether the trust domain of the others holds each pose of each demonstration, (N,); none for a single one.
+
+    Args:
+        trajectories: demonstrated poses (N, 7).
+        signs: (N − 1, L, 2) of each, as :meth:`TrustDomain.fit` takes them.
+        task: gives the frame of angles.
+        settings: how the domains are drawn.
+    """
+    inside = []
+    for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
+        others = [i for i in range(len(trajectories)) if i != index]
+        fold = TrustDomain.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame, settings)
+        inside.append(fold.inside(held_out, np.arange(len(held_out))))
+    return inside
+
+
+def trust_summary(domain: TrustDomain, count: int, inside: Sequence[np.ndarray], fresh: list[Array]) -> dict[str, Any]:
     """Return width and coverage of a trust domain.
 
     Args:
         domain: drawn from all demonstrations.
-        trajectories: their poses (N, 7).
-        signs: (N − 1, L, 2) of each, that it was drawn with.
-        task: gives the frame of angles.
+        count: how many those are.
+        inside: of them, as :func:`held_out_inside` returns it.
         fresh: poses (N, 7) of demonstrations that nothing was fitted to.
     """
-    settings, count = domain.settings, len(trajectories)
+    settings = domain.settings
     tube = domain if isinstance(domain, Tube) else None
-    shares, whole = [], []
-    for index, held_out in enumerate(trajectories if count > 1 else []):
-        others = [i for i in range(count) if i != index]
-        fold = TrustDomain.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame, settings)
-        inside = fold.inside(held_out, np.arange(len(held_out)))
-        shares.append(float(inside.mean()))
-        whole.append(bool(inside.all()))
+    shares, whole = [float(held.mean()) for held in inside], [bool(held.all()) for held in inside]
     return {
         "sigmas": domain.settings.sigmas if isinstance(domain, Box) else None,
         "matching": domain.settings.matching if isinstance(domain, Box) else "any",
@@ -133,10 +143,15 @@ def sampled_at(trajectories: list[Array], task: Task) -> Task:
     return task.model_copy(update={"step_m": float(np.median(steps))})
 
 
-def sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSettings) -> dict[str, float | None] | None:
-    """Return the held-out one-step errors at the paper's sampling, beside those of predicting no motion."""
+def sixty_samples(
+    demonstrations: Demonstrations, task: Task, intent: IntentSettings
+) -> tuple[dict[str, float | None] | None, list[Array]]:
+    """Return the held-out one-step errors at the paper's sampling: beside those of predicting no motion, and each.
+
+    The latter are the errors (59, 2) [m, rad] of every demonstration; nothing comes of a single one.
+    """
     if len(demonstrations) == 1:
-        return None
+        return None, []
     trajectories = [to_count(item.poses, _PAPER_SAMPLES) for item in demonstrations.items]
     task = sampled_at(trajectories, task)
     errors, motions = [], []
@@ -149,7 +164,7 @@ def sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSett
     error, motion = np.concatenate(errors), np.concatenate(motions)
     rms, persistence = (np.sqrt((rows**2).mean(axis=0)) for rows in (error, motion))
     turns = task.orientation == "learned"
-    return {
+    summary = {
         "rms_m": float(rms[0]),
         "persistence_rms_m": float(persistence[0]),
         "rms_over_persistence": float(rms[0] / persistence[0]),
@@ -160,6 +175,7 @@ def sixty_samples(demonstrations: Demonstrations, task: Task, intent: IntentSett
         "rms_over_persistence_rotation": float(rms[1] / persistence[1]) if turns else None,
         "max_rad": float(error[:, 1].max()) if turns else None,
     }
+    return summary, errors
 
 
 _AXES = ("x", "y", "z")
@@ -182,14 +198,16 @@ class Fitted:
         trust: where to rely on it.
         report: the content of ``fit.json``.
         folds: of the cross-validation, one for each demonstration; none for a single one.
-        signs: (N − 1, L, 2) for each demonstration, as :meth:`TrustDomain.fit` takes them.
+        inside: (N,) for each demonstration, whether the trust domain of the others holds each pose; as `folds`.
+        sixty: (59, 2) [m, rad] for each demonstration, its errors at the paper's sampling; as `folds`.
     """
 
     model: IntentModel
     trust: TrustDomain
     report: dict[str, Any]
     folds: tuple[Fold, ...]
-    signs: list[Array]
+    inside: list[np.ndarray]
+    sixty: list[Array]
 
 
 def agent_steps(demonstrations: Demonstrations, task: Task) -> list[Array]:
@@ -238,6 +256,8 @@ def fit(
     raw = [sizes_of(fold.error) for fold in found.folds]
     unseen = agent_steps(fresh, task) if fresh else []
     region = convergence(model, domain, trajectories, task)
+    inside = held_out_inside(trajectories, signs, task, trust)
+    at_sixty, sixty = sixty_samples(demonstrations, task, intent.with_ridge(found.ridge))
     report: dict[str, Any] = {
         "task": task.name,
         "intent": intent.name,
@@ -260,14 +280,14 @@ def fit(
         "spectral_radius_rotation": None if turning is None else turning.spectral_radius(),
         "lifted_dimension": len(first.matrix),
         "trust": {
-            **trust_summary(domain, trajectories, signs, task, frame.each(unseen)),
+            **trust_summary(domain, len(trajectories), inside, frame.each(unseen)),
             **right_summary(found.folds, IntentReward(task, model, domain, reward), unseen),
         },
         "unmatched_share": unmatched_share(trajectories, task),
-        "sixty_samples": sixty_samples(demonstrations, task, intent.with_ridge(found.ridge)),
+        "sixty_samples": at_sixty,
     }
     checked = FitReport.model_validate(report).model_dump(mode="json")
-    return Fitted(model, domain, checked, found.folds, signs)
+    return Fitted(model, domain, checked, found.folds, inside, sixty)
 
 
 def _check(demonstrations: Demonstrations, task: Task) -> None:

@@ -138,7 +138,7 @@ def _errors(
     """
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
     highest = max(line[0] for line in lines)
-    _shade(axes, ~fitted.trust.known, len(mean))
+    shade(axes, ~fitted.trust.known, len(mean))
     axes.plot(mean, color=BLUE, label="mean over demonstrations")
     axes.plot(largest, color=SKY, linewidth=1.0, label="largest")
     for value, colour, style, meaning in lines:
@@ -149,8 +149,8 @@ def _errors(
     axes.set_xlabel("step of the demonstration")
 
 
-def _shade(axes: Axes, asked: np.ndarray, steps: int) -> None:
-    """Shade the places (S,) of the trust domain where too few rewards are right, spread over the steps."""
+def shade(axes: Axes, asked: np.ndarray, steps: int) -> None:
+    """Shade the places (S,) at which the expert is asked, spread over the steps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], asked, [False]]).astype(int))) * steps / len(asked)
     for index, (start, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
         axes.axvspan(start, end, color=ASK, lw=0, label=None if index else "the expert is asked", zorder=0)

@@ -13,7 +13,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.history import History
 
 WIDTH, HEIGHT = 1560, 900
-_WINDOW = 25
+WINDOW = 25
 """Episodes in the running mean."""
 _SOURCE_COLOURS = {"rule": GREY, "trusted": GREEN, "asked": ORANGE, "remembered": SKY, "certified": BLUE}
 
@@ -70,9 +70,9 @@ def _rewards(axes: Axes, history: History) -> None:
     for chosen, dot, line, label in groups:
         if chosen.any():
             axes.plot(number[chosen], rewards[chosen], linestyle="", marker=".", markersize=5, color=dot, label=label)
-        if chosen.sum() >= _WINDOW:
-            mean = _running_mean(rewards[chosen], _WINDOW)
-            axes.plot(number[chosen][_WINDOW - 1 :], mean, color=line, linewidth=2, label=f"mean of {_WINDOW} of them")
+        if chosen.sum() >= WINDOW:
+            mean = running_mean(rewards[chosen])
+            axes.plot(number[chosen][WINDOW - 1 :], mean, color=line, linewidth=2, label=f"mean of {WINDOW} of them")
     # Room above for the legend.
     axes.margins(y=0.05)
     low, high = axes.get_ylim()
@@ -83,9 +83,10 @@ def _rewards(axes: Axes, history: History) -> None:
     _legend_or_note(axes, bool(len(rewards)), "no episode was finished")
 
 
-def _running_mean(values: Array, window: int) -> Array:
+def running_mean(values: Array) -> Array:
+    """Return the means (N − 24,) of every 25 successive values (N,)."""
     sums = np.cumsum(np.concatenate([[0.0], values]))
-    return np.asarray((sums[window:] - sums[:-window]) / window)
+    return np.asarray((sums[WINDOW:] - sums[:-WINDOW]) / WINDOW)
 
 
 def _loss(axes: Axes, history: History) -> None:

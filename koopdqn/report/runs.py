@@ -1,30 +1,35 @@
-"""Finding finished runs, each training with the newest evaluation of it, and what ``report.json`` says of them."""
+"""Finding finished runs with their newest evaluations, and grouping them by task and preset."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Final
-
-from pydantic import Field, Strict, ValidationError
+from typing import Any, Final, NamedTuple
 
 from koopdqn.artifact import read_artifact
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.files import digest, read_json
+from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
+from koopdqn.files import digest
+from koopdqn.intent.model import IntentSettings
+from koopdqn.intent.reward import RewardSettings
+from koopdqn.intent.trust import TrustSettings
+from koopdqn.report.schema import LeftOut
 from koopdqn.rl.schema import TrainReport
+from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.arm import Arm
-from koopdqn.schema import ReportModel
-from koopdqn.settings import TARGET, Name, NonNegativeInt, PathText, Settings, load_settings
+from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 
-TRAINING: Final = "train.json"
-EVALUATION: Final = "eval.json"
 POLICY: Final = "policy.safetensors"
 DEMONSTRATIONS: Final = "demos.hdf5"
 ABLATIONS: Final = "ablations"
 """Name of the folder below ``runs/`` whose runs are shown in a table of their own."""
 STUDY: Final = "study"
 """Name of the folder below ``runs/`` whose runs docs/study.md shows."""
+DEFAULT: Final = "default"
+PAPER: Final = "paper"
+PRESETS: Final = (DEFAULT, PAPER)
+TASKS: Final = ("shelf", "knife")
+"""The paper's two tasks, in its order."""
 
 # What tells two runs of one configuration apart.
 _OF_ONE_RUN: Final = ("seed", "made_from", "network")
@@ -58,11 +63,6 @@ class Run:
         return int(self.train["seed"])
 
     @property
-    def key(self) -> str:
-        """What runs of one configuration share, whatever their seed."""
-        return configuration_key(self.about)
-
-    @property
     def train_file(self) -> Path:
         """Its ``train.json``."""
         return self.folder / TRAINING
@@ -78,30 +78,17 @@ class Run:
         return self.train_file.stat().st_mtime_ns
 
 
-@dataclass(frozen=True)
-class Skipped:
-    """A folder that looks like a run and is not used.
-
-    Attributes:
-        folder: where it lies.
-        reason: why.
-    """
-
-    folder: Path
-    reason: str
-
-
 def configuration_key(about: Mapping[str, Any]) -> str:
     """Return the SHA-256 of what decides a training run's bytes, less its seed."""
     return digest({name: value for name, value in about.items() if name not in _OF_ONE_RUN})
 
 
-def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[list[Run], list[Skipped]]:
+def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[list[Run], list[LeftOut]]:
     """Return the finished runs below folders, and what looks like one but cannot be used.
 
     Args:
         folders: searched for training runs and for evaluations; what lies below a folder named
-            ``ablations`` is left out.
+            ``ablations`` or ``study`` is left out.
         elsewhere: searched for evaluations only.
 
     Raises:
@@ -110,145 +97,100 @@ def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[
     for folder in folders:
         if not folder.is_dir():
             raise BadInputError(f"report.runs: must name folders that exist, found {str(folder)!r}")
-    evaluations, unreadable = _evaluations([*folders, *elsewhere])
-    runs: dict[Path, Run] = {}
-    skipped: dict[Path, Skipped] = {}
+    evaluations, unusable = find_evaluations(_below([*folders, *elsewhere], EVALUATION))
+    left_out = [LeftOut(folder=str(file.parent), reason=reason) for file, reason in unusable.items()]
+    runs = []
     for file in _below(folders, TRAINING):
-        folder = file.parent
-        if not (folder / POLICY).is_file():
+        if not (file.parent / POLICY).is_file():
             continue
         try:
-            runs[folder.resolve()] = _with_evaluation(_read(folder), evaluations)
+            run = _read(file.parent)
         except BadInputError as error:
-            skipped[folder.resolve()] = Skipped(folder, str(error))
-    return list(runs.values()), [*skipped.values(), *unreadable]
+            left_out.append(LeftOut(folder=str(file.parent), reason=str(error)))
+        else:
+            measured, content = newest_evaluation(run.folder, run.task.name, evaluations)
+            runs.append(replace(run, evaluation_file=measured, evaluation=content))
+    return runs, left_out
 
 
 def _below(folders: Sequence[Path], name: str) -> list[Path]:
-    found = []
+    """Return the files of a name below folders, each once, less those below ablations and the study."""
+    found: dict[Path, Path] = {}
     for folder in folders:
-        files = sorted(folder.rglob(name)) if folder.is_dir() else []
-        found += [file for file in files if not {ABLATIONS, STUDY} & set(file.relative_to(folder).parts)]
-    return found
+        for file in sorted(folder.rglob(name)) if folder.is_dir() else []:
+            if not {ABLATIONS, STUDY} & set(file.relative_to(folder).parts):
+                found[file.resolve()] = file
+    return list(found.values())
 
 
 def _read(folder: Path) -> Run:
-    train = read_json(folder / TRAINING, "the training report")
-    try:
-        train = TrainReport.model_validate(train).model_dump(mode="json")
-    except ValidationError as error:
-        raise BadInputError(
-            f"{folder / TRAINING} must be a training report of this release: {_first(error)}"
-        ) from error
+    train = read_report(folder / TRAINING, "training report", TrainReport)
     if not (folder / DEMONSTRATIONS).is_file():
         raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
     about = read_artifact(folder / POLICY, "policy").about
     try:
-        nodes = about["task"], about["robot"]
+        task, arm = about["task"], about["robot"]
     except KeyError as error:
         raise BadInputError(f"{folder / POLICY} must say what shaped it, found no {error}") from error
-    task = load_settings(_without_item_targets(nodes[0]), Task, "task")
-    return Run(folder, train, about, task, load_settings(_without_item_targets(nodes[1]), Arm, "robot"))
+    return Run(folder, train, about, load_settings(task, Task, "task"), load_settings(arm, Arm, "robot"))
 
 
-def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
-    return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+class Preset(NamedTuple):
+    """What a preset sets for a task, and the :func:`configuration_key` of its runs."""
+
+    name: str
+    task: Task
+    agent: AgentSettings
+    intent: IntentSettings
+    trust: TrustSettings
+    reward: RewardSettings
+    train: TrainSettings
+    demonstrations: int
+    key: str
 
 
-def _without_item_targets(node: Any) -> Any:
-    """Return a node whose lists' items name no class, as a settings class takes them."""
-    if isinstance(node, Mapping):
-        return {key: _without_item_targets(value) for key, value in node.items()}
-    if isinstance(node, list):
-        plain = [{k: v for k, v in item.items() if k != TARGET} if isinstance(item, Mapping) else item for item in node]
-        return [_without_item_targets(item) for item in plain]
-    return node
+Presets = Mapping[tuple[str, str], Preset]
+"""Presets by task and name."""
+Groups = Mapping[tuple[str, str], Sequence[Run]]
+"""Runs of one configuration, one a seed, by task and preset; what has no runs is absent."""
 
 
-def _evaluations(folders: Sequence[Path]) -> tuple[list[tuple[Path, Mapping[str, Any]]], list[Skipped]]:
-    """Return evaluation files with their contents, the newest first, and what is no evaluation of this release."""
-    found: dict[Path, tuple[Path, Mapping[str, Any]]] = {}
-    skipped: dict[Path, Skipped] = {}
-    for file in _below(folders, EVALUATION):
-        try:
-            content = EvaluationFile.model_validate(read_json(file, "the evaluation")).model_dump(mode="json")
-        except BadInputError as error:
-            skipped[file.resolve()] = Skipped(file.parent, str(error))
-        except ValidationError as error:
-            reason = f"{file} must be an evaluation of this release: {_first(error)}"
-            skipped[file.resolve()] = Skipped(file.parent, reason)
+def group_runs(runs: Sequence[Run], presets: Presets) -> tuple[Groups, list[LeftOut]]:
+    """Return the runs that the report shows, in the paper's order, and those that it leaves out with the reason.
+
+    A run belongs to a preset if it has the preset's agent and intent. Of several configurations of one preset
+    the one shown is that of the present config tree, if there is one, or else that with most seeds, or else the
+    newest; of several runs of one seed an evaluated one, or else the newest.
+    """
+    by_preset: dict[tuple[str, str], dict[str, list[Run]]] = {place: {} for place in presets}
+    left_out = []
+    for run in runs:
+        names = run.task.name, run.train["agent"], run.train["intent"]
+        for place, preset in presets.items():
+            if names == (preset.task.name, preset.agent.name, preset.intent.name):
+                by_preset[place].setdefault(configuration_key(run.about), []).append(run)
+                break
         else:
-            found[file.resolve()] = (file, content)
-    newest_first = sorted(found.values(), key=lambda item: item[0].stat().st_mtime_ns, reverse=True)
-    return newest_first, list(skipped.values())
+            reason = "agent {1}, intent {2}, task {0}: no preset has these".format(*names)
+            left_out.append(LeftOut(folder=str(run.folder), reason=reason))
+    groups = {}
+    for place, configurations in by_preset.items():
+        if not configurations:
+            continue
+        shown = max(configurations, key=lambda key: _rank(key, configurations[key], presets[place].key))
+        for key, others in configurations.items():
+            if key != shown:
+                reason = f"another configuration of preset {place[1]}"
+                left_out += [LeftOut(folder=str(run.folder), reason=reason) for run in others]
+        kept: dict[int, Run] = {}
+        for run in sorted(configurations[shown], key=lambda run: (run.evaluation is not None, run.age)):
+            if run.seed in kept:
+                reason = f"another run of seed {run.seed} is shown"
+                left_out.append(LeftOut(folder=str(kept[run.seed].folder), reason=reason))
+            kept[run.seed] = run
+        groups[place] = [kept[seed] for seed in sorted(kept)]
+    return groups, sorted(left_out, key=lambda item: item.folder)
 
 
-def _with_evaluation(run: Run, evaluations: Sequence[tuple[Path, Mapping[str, Any]]]) -> Run:
-    for file, content in evaluations:
-        if content["task"] == run.task.name and _measures(file, str(content["run"]), run.folder):
-            return Run(run.folder, run.train, run.about, run.task, run.arm, file, content)
-    return run
-
-
-def _measures(file: Path, named: str, folder: Path) -> bool:
-    """Return whether an evaluation names a run's folder, as seen from any folder that it may have been made in."""
-    wanted = folder.resolve()
-    bases = [Path.cwd(), *file.resolve().parents]
-    return any((base / named).resolve() == wanted for base in bases)
-
-
-class ShownRun(ReportModel):
-    """A run that the page shows."""
-
-    folder: Name = Field(description="its folder, as it was given or found")
-    task: Name = Field(description="name of the task")
-    preset: Name = Field(description="name of the preset")
-    seed: NonNegativeInt = Field(description="of the run")
-    evaluation: str | None = Field(description="file of its evaluation; null if there is none")
-
-
-class LeftOut(ReportModel):
-    """A run that the page does not show."""
-
-    folder: Name = Field(description="its folder")
-    reason: Name = Field(description="why")
-
-
-class DrawnFigure(ReportModel):
-    """A figure of the page."""
-
-    number: Name = Field(description="as the paper counts")
-    title: Name = Field(description="in a few words")
-    files: list[Name] = Field(description="its PNGs, relative to the page")
-
-
-class MissingPart(ReportModel):
-    """A figure or table that the page lacks."""
-
-    what: Name = Field(description="its name")
-    reason: Name = Field(description="what it needs")
-    command: str = Field(description="what makes it; empty where no command would")
-
-
-class ReportFile(ReportModel):
-    """The content of ``report.json``."""
-
-    page: Name = Field(description="the page")
-    runs: list[ShownRun] = Field(description="runs that it shows")
-    left_out: list[LeftOut] = Field(description="runs that were found and are not shown")
-    figures: list[DrawnFigure] = Field(description="figures, in order")
-    tables: list[Name] = Field(description="titles of its tables, in order")
-    missing: list[MissingPart] = Field(description="what it lacks")
-
-
-class ReportSettings(Settings):
-    """Which runs the report shows, and whether missing ones are made."""
-
-    make: bool = Field(description="train and evaluate what is missing first")
-    runs: Annotated[tuple[PathText, ...], Strict(False)] = Field(
-        description="folders to search for finished runs; empty: the folder runs/, less its ablations"
-    )
-    seeds: Annotated[tuple[NonNegativeInt, ...], Strict(False), Field(min_length=1)] = Field(
-        description="the seeds that `make` trains each task with"
-    )
+def _rank(key: str, runs: Sequence[Run], present: str) -> tuple[bool, int, int]:
+    return key == present, len({run.seed for run in runs}), max(run.age for run in runs)

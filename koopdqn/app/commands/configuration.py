@@ -15,7 +15,7 @@ from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.oracles.base import OracleSettings
-from koopdqn.report.runs import ReportSettings
+from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.arm import Arm

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -12,12 +12,25 @@ from koopdqn.app.hydra.compose import composed
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.evaluation.results import EVALUATION, TRAINING, find_sweep
 from koopdqn.intent.model import IntentSettings
-from koopdqn.report.groups import DEFAULT, PAPER, PRESETS, TASKS, Groups, Preset, Presets, group_runs
-from koopdqn.report.intents import INTENTS
-from koopdqn.report.material import Intents
+from koopdqn.report import sweep
+from koopdqn.report.data import INTENTS, Intents
 from koopdqn.report.page import PAGE, build, work_units
-from koopdqn.report.runs import ABLATIONS, EVALUATION, TRAINING, ReportSettings, Skipped, configuration_key, find_runs
+from koopdqn.report.runs import (
+    ABLATIONS,
+    DEFAULT,
+    PAPER,
+    PRESETS,
+    TASKS,
+    Groups,
+    Preset,
+    Presets,
+    configuration_key,
+    find_runs,
+    group_runs,
+)
+from koopdqn.report.schema import LeftOut, ReportSettings
 from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 
@@ -28,10 +41,12 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     """Write ``report/`` with ``report.html`` and its pictures; with ``report.make`` make what is missing first.
 
     Raises:
-        BadInputError: no finished run was found, or a folder of ``report.runs`` does not exist.
+        BadInputError: no run was found, or a folder of ``report.runs`` or ``report.sweep`` does not exist.
         WorkFailedError: a command that makes a missing run failed.
     """
     settings = config.report
+    if settings.sweep is not None:
+        return _of_sweep(settings, settings.sweep, folder / "report")
     presets = all_presets()
     made: list[Path] = []
     if settings.make:
@@ -53,6 +68,32 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         f"page  {console.shown_path(target / PAGE)}",
     ]
     lines += [f"missing: {part['what']}: {part['reason']} {part['command']}".rstrip() for part in content["missing"]]
+    return CommandResult(content, lines)
+
+
+def _of_sweep(settings: ReportSettings, found: Path, target: Path) -> CommandResult:
+    """Write the page of a sweep; with ``report.make`` evaluate first what is finished and was not evaluated."""
+    if settings.runs:
+        shown = ", ".join(map(str, settings.runs))
+        raise BadInputError(f"report.runs: must be empty where sweep= names the folder to show, found {shown}")
+    elsewhere = [RUNS] if RUNS.is_dir() else []
+    runs = find_sweep(found, elsewhere)
+    missing = [run for run in runs if run.state == "finished" and run.evaluation is None] if settings.make else []
+    if missing:
+        with console.stage("Evaluating the sweep", len(missing)) as stage:
+            for run in missing:
+                measured = _new_folder("sweep", "eval")
+                _koopdqn("eval", [f"run={run.folder}", f"out={measured}"], measured / EVALUATION)
+                stage.advance()
+        runs = find_sweep(found, [RUNS])
+    content = sweep.build(found, runs, target)
+    lines = [
+        f"{len(runs)} runs of {len(content['variants'])} variants",
+        f"page   {console.shown_path(target / PAGE)}",
+        f"table  {console.shown_path(target / 'sweep.csv')}",
+        f"plot   {console.shown_path(target / 'sweep.png')}",
+    ]
+    lines += [f"{run.state}: {run.folder}: {run.reason}" for run in runs if run.reason]
     return CommandResult(content, lines)
 
 
@@ -92,19 +133,18 @@ def _task_of(name: str, groups: Groups, presets: Presets) -> Task:
     """Return the task as its shown runs have it, or as the config tree does where there are none."""
     for preset in PRESETS:
         if (name, preset) in groups:
-            return groups[name, preset].first.task
+            return groups[name, preset][0].task
     return presets[name, DEFAULT].task
 
 
-def _found(settings: ReportSettings, presets: Presets, made: Sequence[Path]) -> tuple[Groups, list[Skipped]]:
+def _found(settings: ReportSettings, presets: Presets, made: Sequence[Path]) -> tuple[Groups, list[LeftOut]]:
     folders = [*(settings.runs or ([RUNS] if RUNS.is_dir() else [])), *made]
     runs, skipped = find_runs(folders, elsewhere=[RUNS])
     groups, left_out = group_runs(runs, presets)
-    ordered = {(task, name): groups[task, name] for task in TASKS for name in PRESETS if (task, name) in groups}
-    return ordered, [*skipped, *left_out]
+    return groups, [*skipped, *left_out]
 
 
-def _reasons(left_out: Sequence[Skipped]) -> str:
+def _reasons(left_out: Sequence[LeftOut]) -> str:
     if not left_out:
         return ""
     return f" that can be shown ({left_out[0].folder}: {left_out[0].reason})"
@@ -137,12 +177,9 @@ def _jobs(settings: ReportSettings, groups: Groups) -> list[tuple[str, int, Path
     """Return task, seed and folder (None: to be trained) of every run that is missing or not evaluated."""
     jobs: list[tuple[str, int, Path | None]] = []
     for task in TASKS:
-        group = groups.get((task, DEFAULT))
-        runs: Mapping[int, object] = {}
-        if group is not None:
-            runs = {run.seed: run for run in group.runs}
-            jobs += [(task, run.seed, run.folder) for run in group.runs if run.evaluation is None]
-        jobs += [(task, seed, None) for seed in settings.seeds if seed not in runs]
+        runs = groups.get((task, DEFAULT), ())
+        jobs += [(task, run.seed, run.folder) for run in runs if run.evaluation is None]
+        jobs += [(task, seed, None) for seed in settings.seeds if seed not in {run.seed for run in runs}]
     return jobs
 
 

@@ -10,14 +10,28 @@ from typing import Final
 from koopdqn.errors import BadInputError
 from koopdqn.settings import shown
 
-PATH_KEYS: Final = ("out", "run", "demos", "intent_file", "oracle.journal", "oracle.questions", "oracle.answers")
+PATH_KEYS: Final = (
+    "out",
+    "run",
+    "demos",
+    "intent_file",
+    "oracle.journal",
+    "oracle.questions",
+    "oracle.answers",
+    "report.sweep",
+)
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
 _PLAIN_VALUE: Final = re.compile(r"[A-Za-z0-9_./-]*")
 _NUMBER_OR_BOOLEAN: Final = re.compile(r"-?[\d._]*\d[\d._]*(e-?\d+)?|-?inf|nan|true|false", re.IGNORECASE)
 """Values that Hydra reads as something else than a text."""
 _INTENT_SUFFIXES: Final = (".npz", ".safetensors")
-_SHORT_NAMES: Final = {"journal": "oracle.journal", "source": "demo.source", "demos.place": "task.place"}
+_SHORT_NAMES: Final = {
+    "journal": "oracle.journal",
+    "source": "demo.source",
+    "demos.place": "task.place",
+    "sweep": "report.sweep",
+}
 _RECORD: Final = Path(".hydra") / "overrides.yaml"
 _OWN_KEYS: Final = ("command", "out", "run")
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
@@ -44,8 +58,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
-    - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO`` and
-      ``demos.place=`` becomes ``task.place=``.
+    - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
+      ``demos.place=`` becomes ``task.place=`` and ``sweep=DIR`` becomes ``report.sweep=DIR``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones

@@ -1,0 +1,89 @@
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from report_runs import knife_parts, write_evaluation, write_run
+
+from koopdqn import console
+from koopdqn.app import cli
+from koopdqn.app.commands import report
+from koopdqn.report.runs import DEFAULT, PAPER
+
+if TYPE_CHECKING:
+    from parts import Parts
+
+    from koopdqn.demonstrations.dataset import Demonstrations
+    from koopdqn.report.runs import Groups
+
+
+@pytest.mark.parametrize("make", [["--make"], ["report.make=true"]])
+def test_make_trains_and_evaluates_what_is_missing(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    parts: "Parts",
+    demonstrations: "Demonstrations",
+    make: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_run(tmp_path / "runs" / "shelf" / "old", parts, demonstrations, seed=0)
+    knife = knife_parts()
+    calls: list[tuple[str, ...]] = []
+
+    def launch(command: str, overrides: list[str], result: Path) -> None:
+        given = dict(item.split("=", 1) for item in overrides)
+        calls.append((command, given.get("task", ""), given.get("seed", ""), given.get("run", "")))
+        chosen = knife if "knife" in given["out"] else parts
+        if command == "train":
+            write_run(Path(given["out"]), chosen, demonstrations, int(given["seed"]))
+        else:
+            write_evaluation(Path(given["out"]), chosen, given["run"])
+        assert result.is_file()
+
+    shown: dict[str, Any] = {}
+
+    def draw(groups: "Groups", *rest: object) -> dict[str, Any]:
+        shown.update({place: [(r.seed, r.evaluation is not None) for r in runs] for place, runs in groups.items()})
+        return {"figures": [], "tables": [], "runs": [], "missing": []}
+
+    monkeypatch.setattr(report, "_koopdqn", launch)
+    monkeypatch.setattr(report, "build", draw)
+    assert cli.main(["report", *make, "report.seeds=[0,1]", "out=made"]) == 0
+    done = [(command, task, seed) for command, task, seed, _ in calls]
+    assert done == [
+        ("eval", "", ""),
+        ("train", "shelf", "1"),
+        ("eval", "", ""),
+        ("train", "knife", "0"),
+        ("eval", "", ""),
+        ("train", "knife", "1"),
+        ("eval", "", ""),
+    ]
+    assert calls[0][3] == str(Path("runs/shelf/old"))
+    complete = [(0, True), (1, True)]
+    assert shown == {("shelf", DEFAULT): complete, ("knife", DEFAULT): complete}
+    # What is there is not made again.
+    calls.clear()
+    assert cli.main(["report", *make, "report.seeds=[0,1]", "out=again"]) == 0
+    assert calls == []
+    assert PAPER not in {preset for _, preset in shown}
+
+
+def test_without_runs_the_error_says_what_makes_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    console.err.cache_clear()
+    assert cli.main(["report"]) == 2
+    message = capsys.readouterr().err
+    assert "must hold finished training runs" in message
+    assert "koopdqn report --make" in message
+    assert cli.main(["report", "report.runs=[nowhere]"]) == 2
+    assert "report.runs: must name folders that exist, found 'nowhere'" in capsys.readouterr().err
+
+
+def test_only_the_report_takes_make(capsys: pytest.CaptureFixture[str]) -> None:
+    console.err.cache_clear()
+    assert cli.main(["report", "--make", "--cfg", "job", "-p", "report"]) == 0
+    assert "make: true" in capsys.readouterr().out
+    assert cli.main(["train", "--make"]) == 2
+    assert "unknown option --make of koopdqn train" in capsys.readouterr().err

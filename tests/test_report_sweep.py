@@ -1,0 +1,92 @@
+import csv
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+import pytest
+from report_runs import write_evaluation, write_swept
+
+from koopdqn import console
+from koopdqn.app import cli
+from koopdqn.app.commands import report
+from koopdqn.files import read_json
+from koopdqn.report.schema import SweepFile
+
+if TYPE_CHECKING:
+    from parts import Parts
+
+
+@pytest.fixture
+def work(tmp_path: Path, parts: "Parts", monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with a sweep of two intents and two seeds below ``swept``; the last run failed."""
+    for job, (intent, seed) in enumerate([("pose", 0), ("pose", 1), ("paper", 0), ("paper", 1)]):
+        write_swept(tmp_path / "swept" / str(job), parts, seed, f"intent={intent}", finished=job < 3)
+    monkeypatch.chdir(tmp_path)
+    for stream in (console.out, console.err):
+        stream.cache_clear()
+    return tmp_path
+
+
+def test_a_sweep_becomes_a_page_a_table_and_a_plot(work: Path, parts: "Parts") -> None:
+    write_evaluation(work / "runs" / "eval", parts, "swept/0")
+    assert cli.main(["report", "sweep=swept", "out=made"]) == 0
+    folder = work / "made" / "report"
+    content = SweepFile.model_validate(read_json(folder / "sweep.json", "the sweep"))
+    assert [run.state for run in content.runs] == ["finished"] * 3 + ["failed"]
+    assert content.runs[0].success_rate == 0.9
+    assert [variant.overrides for variant in content.variants] == [{"intent": "pose"}, {"intent": "paper"}]
+    assert (folder / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    links = set(re.findall(r'href="([^"#][^"]*)"', text))
+    assert len(links) == 4
+    assert all((folder / unquote(link)).exists() for link in links)
+    # A row a run, one a variant, and the failed run with its reason.
+    assert len(re.findall(r"<tr[ >]", text)) == 1 + 4 + 2 + 1 + 1
+    assert text.count('class="summary"') == 2
+    assert "It holds neither train.json nor a checkpoint" in text
+
+
+def test_the_csv_has_a_row_a_run_and_one_a_variant(work: Path) -> None:
+    assert cli.main(["report", "sweep=swept", "out=made"]) == 0
+    with (work / "made" / "report" / "sweep.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["row"] for row in rows] == ["run", "run", "variant"] * 2
+    assert [row["intent"] for row in rows] == ["pose"] * 3 + ["paper"] * 3
+    first, second, whole = rows[:3]
+    assert float(whole["seconds"]) == (float(first["seconds"]) + float(second["seconds"])) / 2
+    assert float(whole["seconds_std"]) == pytest.approx(0.5**0.5)
+    assert (whole["runs"], whole["learned"]) == ("2", "1")
+    assert (rows[4]["state"], rows[4]["learned"], rows[4]["seconds"]) == ("failed", "", "")
+
+
+def test_make_evaluates_what_is_finished(work: Path, parts: "Parts", monkeypatch: pytest.MonkeyPatch) -> None:
+    write_evaluation(work / "runs" / "eval", parts, "swept/0")
+    calls: list[str] = []
+
+    def launch(command: str, overrides: list[str], result: Path) -> None:
+        given = dict(item.split("=", 1) for item in overrides)
+        calls.append(f"{command} {given['run']}")
+        write_evaluation(result.parent, parts, given["run"])
+
+    monkeypatch.setattr(report, "_koopdqn", launch)
+    assert cli.main(["report", "--make", "sweep=swept", "out=made"]) == 0
+    assert calls == ["eval swept/1", "eval swept/2"]
+    content = read_json(work / "made" / "report" / "sweep.json", "the sweep")
+    assert [run["success_rate"] for run in content["runs"]] == [0.9, 0.9, 0.9, None]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["sweep=nowhere"], "report.sweep: must name a folder that exists, found 'nowhere'"),
+        (["sweep=empty"], "report.sweep: must hold runs of koopdqn train"),
+        (["sweep=swept", "report.runs=[swept]"], "report.runs: must be empty where sweep= names the folder to show"),
+    ],
+)
+def test_what_is_no_sweep_is_bad_input(
+    work: Path, capsys: pytest.CaptureFixture[str], overrides: list[str], message: str
+) -> None:
+    (work / "empty").mkdir()
+    assert cli.main(["report", *overrides, "out=made"]) == 2
+    assert message in capsys.readouterr().err
