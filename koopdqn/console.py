@@ -1,16 +1,17 @@
 """The two terminals: results on standard output, messages and progress on standard error."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, RenderableType
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+    from rich.table import Table
 
 
 @cache
@@ -114,6 +115,20 @@ def stage(description: str, total: float | None = None, *, bar: bool = True) -> 
         yield current
     remark = f", {current.note}" if current.note else ""
     note(f"{description}: done in {time.monotonic() - started:.1f} s{remark}")
+
+
+def table(
+    headings: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: Sequence[str], **look: Any
+) -> "Table":
+    """Return a table, columns aligned to the right but for those headed as in ``left``; ``look`` is Rich's own."""
+    from rich.table import Table
+
+    made = Table(**look)
+    for heading in headings:
+        made.add_column(heading, justify="left" if heading in left else "right")
+    for row in rows:
+        made.add_row(*row)
+    return made
 
 
 def _tagged(tag: str, style: str, message: str) -> None:

@@ -147,8 +147,7 @@ def _followed(
     """Return what is measured of following a primitive's paths, at the agent's step, from the held-out starts."""
     from koopdqn.evaluation.baselines import straight_path
     from koopdqn.evaluation.evaluate import drawn_starts
-    from koopdqn.evaluation.metrics import measure
-    from koopdqn.evaluation.references import reference_paths
+    from koopdqn.evaluation.metrics import measure, reference_paths
 
     task, reachability = workcell.task, workcell.reachability
     starts, joints, _ = drawn_starts(workcell, config.eval)

@@ -23,7 +23,7 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import DivergedError, atomic_path, canonical_json, write_json
 from koopdqn.rl import memory
-from koopdqn.robot.render import prepare_rendering
+from koopdqn.robot import prepare_rendering
 
 STAGE = re.compile(r"[A-Z][a-z ]+( \.\.\.|: done in .*)")
 

@@ -6,7 +6,9 @@ import pytest
 
 from koopdqn import pose
 from koopdqn.errors import WorkFailedError
-from koopdqn.robot.render import VARIABLE, Camera, Ghost, Line, Sphere, View, choose_view, render
+from koopdqn.robot import VARIABLE
+from koopdqn.robot.render import Camera, Ghost, Line, Sphere, render
+from koopdqn.robot.view import View, choose_view
 
 if TYPE_CHECKING:
     from koopdqn.pose import Array

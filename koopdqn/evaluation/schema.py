@@ -36,17 +36,9 @@ class PathDeviation(LateralDeviation):
 class Range(ReportModel):
     """A quantity over episodes, of which the least matters too."""
 
-    mean: NonNegative | None = Field(description="mean over episodes")
-    min: NonNegative | None = Field(description="least of all episodes")
-    max: NonNegative | None = Field(description="largest of all episodes")
-
-
-class Measure(ReportModel):
-    """A quantity that a task measures of its own, over episodes."""
-
-    mean: float = Field(description="mean over episodes")
-    min: float = Field(description="least of all episodes")
-    max: float = Field(description="largest of all episodes")
+    mean: float | None = Field(description="mean over episodes")
+    min: float | None = Field(description="least of all episodes")
+    max: float | None = Field(description="largest of all episodes")
 
 
 class TurnReport(ReportModel):
@@ -97,7 +89,7 @@ class MethodReport(ReportModel):
     )
     failures: dict[str, NonNegativeInt] = Field(description="failed episodes by cause; every cause is present")
     turn: TurnReport | None = Field(description="how turn and motion go together; null where orientation is held")
-    task_measures: dict[str, Measure] = Field(
+    task_measures: dict[str, Range] = Field(
         description="what the task measures of its own (`Task.measures`), over the measured episodes: by name, in the"
         " unit that the name ends in, objects of mean, min and max; knife: `blade_angle_final_deg`, of the edge to"
         " straight down at the end; `fraction_until_safe`, share of the path until the edge stays within the safe"

@@ -9,7 +9,7 @@ from koopdqn.artifact import described
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.errors import BadInputError, unknown_name
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.evaluate import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings

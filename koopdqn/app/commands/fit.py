@@ -14,7 +14,7 @@ from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.deviation import hausdorff_mm
+from koopdqn.evaluation.metrics import hausdorff_mm
 from koopdqn.intent.fit import Fitted
 from koopdqn.tasks.workcell import Workcell
 

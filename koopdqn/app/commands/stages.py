@@ -9,10 +9,9 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.derivation import Derivation, Derived
+from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, found_placement
 from koopdqn.demonstrations.generate import generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.placement import blocked_at, found_placement
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
@@ -213,7 +212,7 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
 
 def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:
     """Return a picture of a motion, joints (N, 6), with paths (T, 3) drawn in, or None where nothing can draw it."""
-    from koopdqn.plots.scene import draw_motion
+    from koopdqn.plots.style import draw_motion
 
     if joints is None:
         return None

@@ -13,7 +13,8 @@ from koopdqn.app.recording.recorder import Recorder
 from koopdqn.oracles.terminal.picture import AXES, BEFORE, GOAL, WENT
 from koopdqn.oracles.terminal.screen import GAP, Region, beside, wrapped
 from koopdqn.pose import Array
-from koopdqn.robot.render import Camera, Ghost, Image, Line, Sphere, View, choose_view
+from koopdqn.robot.render import Camera, Ghost, Image, Line, Sphere
+from koopdqn.robot.view import View, choose_view
 from koopdqn.tasks.workcell import Workcell, build_scene
 
 _DIM: Final = Style(dim=True)

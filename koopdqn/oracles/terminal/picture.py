@@ -19,7 +19,8 @@ from koopdqn.oracles.base import Question
 from koopdqn.oracles.terminal.device import Device, Drawn
 from koopdqn.oracles.terminal.screen import Region, Shown, compose, region, status_line
 from koopdqn.pose import Array
-from koopdqn.robot.render import Camera, Ghost, Image, Line, Rgba, Sphere, View, choose_view, fitted_view
+from koopdqn.robot.render import Camera, Ghost, Image, Line, Rgba, Sphere
+from koopdqn.robot.view import View, choose_view, fitted_view
 from koopdqn.tasks.workcell import Workcell, build_scene
 
 WENT: Final[Rgba] = (0.90, 0.62, 0.0, 1.0)

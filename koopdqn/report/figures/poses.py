@@ -24,8 +24,9 @@ from koopdqn.plots.style import (
     two_planes,
 )
 from koopdqn.pose import Array
-from koopdqn.robot.render import Camera, Ghost, Line, Sphere, View, choose_view, fitted_view
+from koopdqn.robot.render import Camera, Ghost, Line, Sphere
 from koopdqn.robot.scene import Scene
+from koopdqn.robot.view import View, choose_view, fitted_view
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 840, 760
