@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from koopdqn.app.recording.log import KeyLine, SessionLine
+from koopdqn.app.recording.session import KeyLine, SessionLine
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
 from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine

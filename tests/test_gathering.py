@@ -27,8 +27,8 @@ from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
 from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Earlier, Oracle, Place, Question
 from koopdqn.oracles.file import question_object
-from koopdqn.oracles.journal import JournalledOracle, read_records
-from koopdqn.oracles.replay import ReplayOracle
+from koopdqn.oracles.journal import read_records
+from koopdqn.oracles.replay import JournalledOracle, ReplayOracle
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array

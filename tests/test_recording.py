@@ -17,16 +17,15 @@ from small_run import SMALL
 from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.recording.log import LOG
+from koopdqn.app.recording import DemoSettings
 from koopdqn.app.recording.playing import overlapped, played, rounded, seconds_along
-from koopdqn.app.recording.recorder import MOVES, Recorder, Recording, State, target
+from koopdqn.app.recording.recorder import MOVES, Recorder, State, target
 from koopdqn.app.recording.screen import HELP, Shown, compose
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording.session import LOG, Recording
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import fit
-from koopdqn.oracles.terminal.screen import region
 from koopdqn.pose import POSITION, QUATERNION
 from koopdqn.robot.ur import URArm
 from koopdqn.settings import load_settings
@@ -406,8 +405,8 @@ def test_a_screen_fits_its_terminal(
     cell: Workcell, small: Parts, width: int, height: int, pictures: bool, helps: bool
 ) -> None:
     recorder = Recorder(cell, small.demo, 0)
-    place = region(width, height, pictures=pictures)
-    lines = compose(Shown(recorder, "runs/demos.hdf5", "a status " * 40, help=helps), place, width, height)
+    content = Shown(recorder, "runs/demos.hdf5", "a status " * 40, help=helps)
+    lines = compose(content, width, height, pictures=pictures)
     assert len(lines) == height
     assert all(line.cell_len <= width for line in lines)
     assert lines[-1].cell_len < width, "a full last line would scroll"
@@ -415,8 +414,7 @@ def test_a_screen_fits_its_terminal(
 
 def test_a_screen_says_where_tool_and_goal_are(recorder: Recorder, small: Parts) -> None:
     press(recorder, "rgj")
-    place = region(80, 24, pictures=True)
-    lines = [line.plain for line in compose(Shown(recorder, "f", "told"), place, 80, 24)]
+    lines = [line.plain for line in compose(Shown(recorder, "f", "told"), 80, 24, pictures=True)]
     text = " ".join(" ".join(lines).split())
     away = 1e3 * float(pose.position_distance(recorder.here, small.task.goal))
     assert f"{away:.1f} mm and 5.0° away" in text
@@ -427,7 +425,8 @@ def test_a_screen_says_where_tool_and_goal_are(recorder: Recorder, small: Parts)
     for word in ("10 mm, 5°", "3 moves", "0 kept", "w s +x -x", "i k about tool x", "e end", "q finish", "? help"):
         assert word in text, word
     assert lines[-1] == "told"
-    helping = "\n".join(line.plain for line in compose(Shown(recorder, "f", "", help=True), place, 80, 24))
+    content = Shown(recorder, "f", "", help=True)
+    helping = "\n".join(line.plain for line in compose(content, 80, 24, pictures=True))
     assert all(line in helping for line in HELP)
 
 

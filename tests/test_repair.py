@@ -10,8 +10,9 @@ from koopdqn.app import cli
 from koopdqn.errors import BadInputError
 from koopdqn.oracles import repair
 from koopdqn.oracles.base import Answer
-from koopdqn.oracles.journal import JournalledOracle, read_lines, read_records
+from koopdqn.oracles.journal import read_lines, read_records
 from koopdqn.oracles.repair import summarised
+from koopdqn.oracles.replay import JournalledOracle
 
 
 def journal(folder: Path, teacher: str, rights: list[bool | None]) -> Path:

@@ -11,7 +11,7 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
-from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, smoothed, trimmed, turning_of
+from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, smoothed, trimmed_each, turning_of
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
@@ -86,7 +86,7 @@ class Derivation(TaskChoice):
                 is at the goal.
         """
         kept = self.kept_of(len(demonstrations))
-        cut = [_cut(index, item) for index, item in enumerate(demonstrations.items)]
+        cut = trimmed_each(demonstrations.items)
         even = [smoothed(each.item) for each in cut]
         learned, aside = even[: len(even) - kept], even[len(even) - kept :]
         goal = preprocess.goal_of(learned)
@@ -156,13 +156,6 @@ class Derivation(TaskChoice):
             holdout=kept,
             training=training.digest(),
         )
-
-
-def _cut(index: int, item: Demonstration) -> Trimmed:
-    try:
-        return trimmed(item)
-    except BadInputError as error:
-        raise BadInputError(f"demonstration {index}: {error}") from error
 
 
 def _oriented(item: Demonstration, goal: Array, turning: Turning) -> Demonstration:
@@ -271,15 +264,11 @@ def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) 
         every: only every so many poses are tried.
     """
     rows = trajectory[::every]
-    motion = reachability.enter(rows[0])
-    for index, here in enumerate(rows):
-        if index and motion.joints is not None:
-            motion = reachability.move(here, motion.joints)
-        if motion.joints is None:
-            share = index / max(len(rows) - 1, 1)
-            place = np.round(here[pose.POSITION], 3).tolist()
-            return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
-    return ""
+    joints, motion = reachability.follow_as_far(rows)
+    if motion.joints is not None:
+        return ""
+    share, place = len(joints) / max(len(rows) - 1, 1), np.round(rows[len(joints), pose.POSITION], 3).tolist()
+    return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
 
 
 def _candidates(middle: Array) -> Iterator[Placement]:

@@ -96,15 +96,12 @@ def generate(
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
     """Raise unless the arm can follow the demonstrator without variation; where it cannot, drawing again is no use."""
     _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
-    motion = reachability.enter(poses[0])
-    for reached in poses[1:]:
-        if motion.joints is not None:
-            motion = reachability.move(reached, motion.joints)
-        if motion.joints is None:
-            raise WorkFailedError(
-                f"task {task.name}: the arm must be able to follow the demonstrator, found at"
-                f" {np.round(reached[pose.POSITION], 3).tolist()} m: {motion.reason}: {motion.detail}"
-            )
+    joints, motion = reachability.follow_as_far(poses)
+    if motion.joints is None:
+        raise WorkFailedError(
+            f"task {task.name}: the arm must be able to follow the demonstrator, found at"
+            f" {np.round(poses[len(joints), pose.POSITION], 3).tolist()} m: {motion.reason}: {motion.detail}"
+        )
 
 
 def wander(task: Task, rng: np.random.Generator) -> Array:

@@ -141,6 +141,21 @@ def trimmed(item: Demonstration) -> Trimmed:
     return Trimmed(Demonstration(item.times[first : last + 1], poses, joints), float(before), float(after))
 
 
+def trimmed_each(items: Sequence[Demonstration]) -> list[Trimmed]:
+    """Return demonstrations without their idle ends.
+
+    Raises:
+        BadInputError: nothing moves in one; the message names it.
+    """
+    found = []
+    for index, item in enumerate(items):
+        try:
+            found.append(trimmed(item))
+        except BadInputError as error:
+            raise BadInputError(f"demonstration {index}: {error}") from error
+    return found
+
+
 def noise_of(item: Demonstration) -> tuple[float, float]:
     """Return the standard deviations of the noise of positions [m] and orientations [rad], each that of its length.
 

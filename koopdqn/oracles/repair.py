@@ -8,20 +8,46 @@ from itertools import combinations
 from pathlib import Path
 from statistics import median
 
+from pydantic import Field
+
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
-from koopdqn.oracles.journal import (
-    AgreementSummary,
-    DropLine,
-    EditLine,
-    FeedbackSummary,
-    JournalFile,
-    OpinionLine,
-    Record,
-    Records,
-    TeacherSummary,
-    read_records,
-)
+from koopdqn.oracles.journal import DropLine, EditLine, JournalFile, OpinionLine, Record, Records, read_records
+from koopdqn.schema import ReportModel
+from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
+
+
+class TeacherSummary(ReportModel):
+    """What one teacher answered; withdrawn answers are left out."""
+
+    name: Name = Field(description="who answered")
+    answers: NonNegativeInt = Field(description="answers given")
+    right: NonNegativeInt = Field(description="of these, right")
+    wrong: NonNegativeInt = Field(description="of these, wrong")
+    skipped: NonNegativeInt = Field(description="of these, skipped")
+    better: NonNegativeInt = Field(description="of these, how many named the action that would have been right")
+    median_seconds: NonNegative = Field(description="median time of an answer [s]")
+
+
+class AgreementSummary(ReportModel):
+    """How far two teachers agree on the questions that both answered."""
+
+    one: Name = Field(description="one teacher")
+    other: Name = Field(description="the other")
+    questions: NonNegativeInt = Field(description="questions that both answered")
+    same: NonNegativeInt = Field(description="of these, how many alike")
+    share: Fraction = Field(description="their share")
+
+
+class FeedbackSummary(ReportModel):
+    """What ``koopdqn feedback show --json`` prints."""
+
+    answers: NonNegativeInt = Field(description="answers in the journals")
+    withdrawn: NonNegativeInt = Field(description="of these, withdrawn")
+    edited: NonNegativeInt = Field(description="of these, changed afterwards")
+    teachers: list[TeacherSummary] = Field(description="by teacher")
+    agreement: list[AgreementSummary] = Field(description="by pair of teachers who answered the same questions")
+
 
 _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wrong": False, "s": None, "skip": None}
 

@@ -49,7 +49,7 @@ def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, 
         for plane, each in zip(planes, axes, strict=True):
             _projection(each, plane, demonstrations, task)
             each.set_title(f"From {style.VIEWS[plane]}")
-        rows = grid[1].subgridspec(4, 1).subplots(sharex=True, squeeze=False)[:, 0]
+        rows = list(grid[1].subgridspec(4, 1).subplots(sharex=True, squeeze=False)[:, 0])
         _components(rows, demonstrations, task)
         figure.align_ylabels(rows)
 

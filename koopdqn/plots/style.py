@@ -161,15 +161,8 @@ def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Arr
     region: dict[str, Any] = {"fill": False, "edgecolor": GREY, "linestyle": "--", "linewidth": 1.2, "zorder": 4}
     axes.add_patch(Rectangle(corner, *size, label="start region", **region))
     goal = task.goal[pose.POSITION]
-    star: dict[str, Any] = {
-        "marker": "*",
-        "markersize": 13,
-        "color": INK,
-        "markeredgecolor": "white",
-        "linestyle": "",
-        "zorder": 6,
-    }
-    axes.plot(goal[i], goal[j], label="goal", **star)
+    star: dict[str, Any] = {"marker": "*", "markersize": 13, "color": INK, "markeredgecolor": "white", "zorder": 6}
+    axes.plot(goal[i], goal[j], linestyle="", label="goal", **star)
     inside = np.concatenate([*positions, [center - half, center + half, goal]])[:, [i, j]]
     low, high = inside.min(axis=0), inside.max(axis=0)
     margin = 0.06 * float((high - low).max())

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived

@@ -5,14 +5,12 @@ from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Table
 
 from koopdqn import console
 from koopdqn.app.commands import stages
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.metrics import hausdorff_mm
 from koopdqn.intent.fit import Fitted
@@ -26,17 +24,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     _, fitted = stages.fitted_intent(config, demonstrations, folder, _fresh(config, workcell))
     report = fitted.report
     title = f"Intent {config.intent.name} on task {config.task.name}"
-    table = Table(title=title + (", one demonstration left out at a time" if report["demonstrations"] > 1 else ""))
-    table.add_column("measure")
-    table.add_column("value", justify="right")
-    for name, value in (
-        *_error_rows(report),
-        *_model_rows(report),
-        *_trust_rows(report),
-        *_held_out_rows(config, fitted),
-    ):
-        table.add_row(name, value)
-    lines: list[RenderableType] = [table]
+    title += ", one demonstration left out at a time" if report["demonstrations"] > 1 else ""
+    rows = [*_error_rows(report), *_model_rows(report), *_trust_rows(report), *_held_out_rows(config, fitted)]
+    lines: list[RenderableType] = [console.table(("measure", "value"), rows, ("measure",), title=title)]
     if report["demonstrations"] == 1:
         lines.append(
             "one demonstration: none can be left out, so no error is measured and the tube has a fixed radius without"
@@ -70,11 +60,7 @@ def _fresh(config: Configuration, workcell: Workcell) -> Demonstrations | None:
             f"fit.seed must differ from seed, or fresh demonstrations would be the old ones, found {config.fit.seed}"
         )
     settings = config.demo.model_copy(update={"count": config.fit.fresh})
-    with console.stage("Demonstrating afresh", settings.count) as stage:
-        generated = generate(
-            config.task, workcell.reachability, settings, config.fit.seed, lambda done: stage.advance()
-        )
-    return generated.demonstrations
+    return stages.generated("Demonstrating afresh", workcell, settings, config.fit.seed).demonstrations
 
 
 def _error_rows(report: dict[str, Any]) -> list[tuple[str, str]]:

@@ -1,5 +1,6 @@
 """The stages that several commands go through; each makes what is missing and keeps it in the run folder."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, found_placement
-from koopdqn.demonstrations.generate import generate
+from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -56,8 +57,7 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
         read, derived = _placed(config, recipe, read, derived)
     if read.placement is not None:
         console.note(f"task {recipe.name}: demonstrations {read.placement}")
-    if kept.exists() and read_hdf5(kept).digest() != read.digest():
-        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
+    _check_kept(kept, read, sources)
     for line in derived.notes:
         console.note(f"task {recipe.name}: {line}")
     _check_followed(config, derived.task)
@@ -117,11 +117,15 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
         _check_reach(config, demonstrations)
     else:
         demonstrations, _ = new_demonstrations(config, workcell)
+    _check_kept(kept, demonstrations, sources)
     if not kept.exists():
         write_hdf5(kept, demonstrations)
-    elif read_hdf5(kept).digest() != demonstrations.digest():
-        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
     return demonstrations
+
+
+def _check_kept(kept: Path, demonstrations: Demonstrations, sources: Sequence[str]) -> None:
+    if kept.exists() and read_hdf5(kept).digest() != demonstrations.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
 
 
 def demonstrations_of(config: Configuration, run: Path) -> Demonstrations:
@@ -162,11 +166,14 @@ def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demon
             f"demo.source: must be scripted where koopdqn {config.inputs.command} makes demonstrations itself, found"
             f" {config.demo.source}; record with koopdqn demo, then demos=FILE"
         )
-    with console.stage("Demonstrating", config.demo.count) as stage:
-        generated = generate(
-            config.task, workcell.reachability, config.demo, config.inputs.seed, lambda done: stage.advance()
-        )
-    return generated.demonstrations, generated.redrawn
+    made = generated("Demonstrating", workcell, config.demo, config.inputs.seed)
+    return made.demonstrations, made.redrawn
+
+
+def generated(title: str, workcell: Workcell, settings: DemonstrationSettings, seed: int) -> Generated:
+    """Return new demonstrations of the scripted person; a bar with the title shows how far it has come."""
+    with console.stage(title, settings.count) as stage:
+        return generate(workcell.task, workcell.reachability, settings, seed, lambda done: stage.advance())
 
 
 def fitted_intent(

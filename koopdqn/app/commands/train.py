@@ -12,7 +12,8 @@ from koopdqn.app.result import CommandResult
 from koopdqn.files import write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
-from koopdqn.oracles.journal import JOURNAL, JournalledOracle
+from koopdqn.oracles.journal import JOURNAL
+from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording import DemoSettings
 from koopdqn.demonstrations.dataset import Demonstration, continuous
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import at_arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Motion, Reachability
+from koopdqn.tasks.reachability import Reachability
 
 _HALVINGS = 3
 """How often the rounding is halved where the arm cannot follow it, before it is left out."""
@@ -58,10 +58,11 @@ def played(path: Array, joints: Array, settings: DemoSettings, reachability: Rea
     first = ""
     for poses, each in (*((both, width) for width in (rounding, *less, 0.0)), (path, 0.0)):
         times, wanted = _played(poses, settings, each)
-        angles, refused = _followed(wanted, joints, reachability)
-        if angles is not None:
-            return Demonstration(times, reachability.flange_poses(angles), angles), first
-        first = first or refused
+        angles, motion = reachability.follow_as_far(wanted, joints)
+        if motion.joints is not None:
+            followed = np.array(angles)
+            return Demonstration(times, reachability.flange_poses(followed), followed), first
+        first = first or f"{motion.reason}: {motion.detail}"
     raise WorkFailedError(first)
 
 
@@ -139,15 +140,3 @@ def _at(path: Array, seconds: Array, times: Array) -> Array:
     signed[:, pose.QUATERNION] = continuous(path[:, pose.QUATERNION])
     values = at_arc_lengths(signed, seconds, times)
     return pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION])
-
-
-def _followed(poses: Array, joints: Array, reachability: Reachability) -> tuple[Array | None, str]:
-    """Return joint angles (N, 6) [rad] along poses (N, 7) from those at the first, or None and why there are none."""
-    motion = Motion(joints)
-    angles = [joints]
-    for each in poses[1:]:
-        motion = reachability.move(each, angles[-1])
-        if motion.joints is None:
-            return None, f"{motion.reason}: {motion.detail}"
-        angles.append(motion.joints)
-    return np.array(angles), ""

@@ -1,22 +1,17 @@
-"""Recording by keys: what is under way, what is kept, what each key makes of it, and how the arm moves."""
+"""Recording by keys: what is under way, what is kept, and what each key makes of it."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.app.recording.log import LOG, KeyLine, logged_keys, session_line
+from koopdqn.app.recording import DemoSettings
 from koopdqn.app.recording.playing import played, samples_of
-from koopdqn.app.recording.settings import DemoSettings
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.oracles.journal import JournalFile
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.settings import shown
 from koopdqn.tasks.reachability import Motion, Reachability
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
@@ -80,13 +75,9 @@ def driven(here: Array, there: Array, joints: Array, task: Task, reachability: R
     return motion
 
 
-_LARGER: Final = ("+", "=")
-_SMALLER: Final = ("-", "_")
 _SCALES: Final = (-5, 3)
 """Least and largest power of two by which the step is scaled."""
-
-
-LARGEST_TURN: Final = 0.8
+_LARGEST_TURN: Final = 0.8
 """More [rad] no key turns."""
 
 
@@ -155,7 +146,7 @@ class Recorder:
     @property
     def turn(self) -> float:
         """How far a key turns now [rad]."""
-        return min(float(self._settings.keyboard.turn_rad * 2.0**self._scale), LARGEST_TURN)
+        return min(float(self._settings.keyboard.turn_rad * 2.0**self._scale), _LARGEST_TURN)
 
     @property
     def here(self) -> Array:
@@ -186,20 +177,14 @@ class Recorder:
         """
         if key in MOVES:
             return self._move(key)
-        if key in _LARGER or key in _SMALLER:
-            return self._rescale(1 if key in _LARGER else -1)
-        if key == "u":
-            return self._undo()
-        if key == "b":
-            return self._mark_start()
+        if key in "+=-_":
+            return self._rescale(1 if key in "+=" else -1)
         if key == "e":
             return self._mark_end(sure=sure)
-        if key == "x":
-            return self._discard()
-        if key == "n":
-            state = self._begun(self.state.start + 1, self.state.kept)
-            return self._become(state, f"New start; {_counted(self.state.moves)} dropped (u brings them back)")
-        return Reply(f"{key!r} is no key here; ? lists them", changed=False)
+        others = {"u": self._undo, "b": self._mark_start, "x": self._discard, "n": self._renew}
+        if key not in others:
+            return Reply(f"{key!r} is no key here; ? lists them", changed=False)
+        return others[key]()
 
     def _move(self, key: str) -> Reply:
         there = target(key, self.here, self.task.goal, self.step, self.turn)
@@ -238,6 +223,10 @@ class Recorder:
         if not self.state.moves and same(self.here, state.path[0]):
             return Reply("Nothing to discard", changed=False)
         return self._become(state, f"Discarded: {_counted(self.state.moves)}; back at the start (u brings them back)")
+
+    def _renew(self) -> Reply:
+        state = self._begun(self.state.start + 1, self.state.kept)
+        return self._become(state, f"New start; {_counted(self.state.moves)} dropped (u brings them back)")
 
     def _mark_end(self, *, sure: bool) -> Reply:
         task, state = self.task, self.state
@@ -280,85 +269,3 @@ class Recorder:
 
 def _counted(moves: int) -> str:
     return f"{moves} move{'' if moves == 1 else 's'}"
-
-
-class Recording:
-    """A recorder whose every key and every demonstration is on disk before the next key. Close it.
-
-    Attributes:
-        recorder: what is recorded.
-    """
-
-    def __init__(self, workcell: Workcell, settings: DemoSettings, seed: int, folder: Path, name: str) -> None:
-        """Begin in a run folder, or go on with the recording that it holds.
-
-        Args:
-            workcell: task, arm and scene.
-            settings: how keys move the arm and how paths are played.
-            seed: by which starts are drawn.
-            folder: the run folder.
-            name: of the file of demonstrations in it.
-
-        Raises:
-            BadInputError: what the folder holds is damaged, or is of another recording.
-        """
-        self.recorder = Recorder(workcell, settings, seed)
-        self._workcell = workcell
-        self._path = folder / name
-        session = session_line(workcell, settings, seed)
-        log = folder / LOG
-        keys = logged_keys(log, session)
-        before = self.demonstrations()
-        for number, key in enumerate(keys, start=2):
-            before = self.demonstrations()
-            reply = self.recorder.press(key, sure=True)
-            if not reply.changed:
-                raise BadInputError(f"{log}, line {number}: {shown(key)} must do what it did then, found: {reply.text}")
-        self._check_file(before)
-        begun = log.exists() and b"\n" in log.read_bytes()
-        self._log = JournalFile(log)
-        if not begun:
-            self._log.append(session)
-        self._written = -1
-        self._write()
-
-    def demonstrations(self) -> Demonstrations | None:
-        """Return what is kept so far, or None if nothing is."""
-        kept = self.recorder.state.kept
-        return Demonstrations(self._workcell.task.name, self._workcell.arm.name, kept) if kept else None
-
-    def press(self, key: str) -> Reply:
-        """Do what a key says; what it changed is on disk when this returns."""
-        reply = self.recorder.press(key)
-        if reply.changed:
-            self._log.append(KeyLine(kind="key", key=key))
-            self._write()
-        return reply
-
-    def close(self) -> None:
-        """Close the log."""
-        self._log.close()
-
-    def _write(self) -> None:
-        count = len(self.recorder.state.kept)
-        if count == self._written:
-            return
-        kept = self.demonstrations()
-        if kept is not None:
-            write_hdf5(self._path, kept)
-        else:
-            # Its one demonstration was taken back; the log holds it.
-            self._path.unlink(missing_ok=True)
-        self._written = count
-
-    def _check_file(self, before: Demonstrations | None) -> None:
-        """Raise unless the file of demonstrations is that of the log, or of the log ``before`` its last key."""
-        if not self._path.exists():
-            return
-        found, kept = read_hdf5(self._path), self.demonstrations()
-        if found.digest() not in [item.digest() for item in (kept, before) if item is not None]:
-            recorded = len(self.recorder.state.kept)
-            raise BadInputError(
-                f"run: {self._path} must hold the {recorded} demonstrations that {LOG} beside it records,"
-                f" found {len(found)} that differ"
-            )

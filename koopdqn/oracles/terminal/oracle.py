@@ -1,9 +1,13 @@
 """The person at the terminal: asked by a screen, answering by single keys."""
 
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Final
+
+from rich.text import Text
 
 from koopdqn import console
 from koopdqn.errors import KoopdqnError
@@ -11,8 +15,9 @@ from koopdqn.files import atomic_path
 from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Oracle, PauseRequested, Question
 from koopdqn.oracles.terminal.device import Device, Graphics, choose_graphics
-from koopdqn.oracles.terminal.picture import Painter, Situation, SituationCamera, png
-from koopdqn.oracles.terminal.screen import Shown
+from koopdqn.oracles.terminal.graphics import Painter, Picture, png
+from koopdqn.oracles.terminal.picture import Situation, SituationCamera
+from koopdqn.oracles.terminal.screen import Shown, compose, status_line
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.workcell import Workcell
 
@@ -23,8 +28,6 @@ _REPLAY_FRAMES: Final = 8
 _REPLAY_SECONDS: Final = 0.08
 _SAVED_SIZE: Final = (1280, 960)
 _VERDICTS: Final = {"y": True, "n": False, "s": None}
-PICTURES: Final = "questions"
-"""The run folder's folder for saved pictures."""
 
 
 class TerminalOracle(Oracle):
@@ -44,7 +47,7 @@ class TerminalOracle(Oracle):
         self._graphics = graphics
         self._folder = folder
         self._device = Device(self._repaint)
-        self._painter: Painter | None = None
+        self._painter: Painter[SituationCamera] | None = None
         self._shown = Shown(workcell.task, teacher)
         self._situation: Situation | None = None
         self._size = (0, 0)
@@ -89,16 +92,17 @@ class TerminalOracle(Oracle):
             self._painter = None
         self._device.leave()
 
-    def _open(self) -> Painter:
+    def _open(self) -> Painter[SituationCamera]:
         if self._painter is None:
             self._device.enter()
             graphics = choose_graphics(self._graphics, self._device)
-            self._painter = Painter(self._device, self._workcell, graphics)
+            self._painter = Painter(self._device, graphics)
+            self._painter.start(partial(SituationCamera, self._workcell))
             self._size = self._device.size()
             self._repaint()
         return self._painter
 
-    def _show(self, question: Question, painter: Painter) -> None:
+    def _show(self, question: Question, painter: Painter[SituationCamera]) -> None:
         # Nobody can have meant this question before seeing it.
         early = len(self._pressed) + len(self._device.keys(0.0))
         self._pressed.clear()
@@ -107,7 +111,7 @@ class TerminalOracle(Oracle):
         self._situation = None
         # The text first: it can be read while the picture is drawn.
         self._repaint()
-        self._situation = painter.situation(question)
+        self._situation = painter.camera.picture(question) if painter.camera else None
         self._repaint()
         self._shown_at = monotonic()
 
@@ -164,13 +168,10 @@ class TerminalOracle(Oracle):
 
     def _save(self, question: Question) -> None:
         self._say("saving the picture ...")
-        path = self._folder / PICTURES / f"{question.number:04d}.png"
+        path = self._folder / "questions" / f"{question.number:04d}.png"
         try:
-            camera = SituationCamera(self._workcell, _SAVED_SIZE, fine=True)
-            try:
+            with closing(SituationCamera(self._workcell, _SAVED_SIZE, fine=True)) as camera:
                 image = camera.picture(question).image
-            finally:
-                camera.close()
             with atomic_path(path) as temporary:
                 temporary.write_bytes(png(image))
         except KoopdqnError as error:
@@ -180,14 +181,14 @@ class TerminalOracle(Oracle):
 
     def _replay(self, question: Question) -> None:
         painter = self._open()
-        if self._situation is None:
+        whole = self._situation
+        if whole is None or painter.camera is None:
             self._say("there is no picture to replay")
             return
-        whole = self._situation
         self._shown = replace(self._shown, status="the motion once more")
         for frame in range(_REPLAY_FRAMES):
             until = monotonic() + _REPLAY_SECONDS
-            self._situation = painter.situation(question, frame / _REPLAY_FRAMES)
+            self._situation = painter.camera.picture(question, frame / _REPLAY_FRAMES)
             self._repaint()
             # A key ends it at once.
             if self._device.waits(max(until - monotonic(), 0.0)):
@@ -198,7 +199,7 @@ class TerminalOracle(Oracle):
     def _say(self, status: str) -> None:
         self._shown = replace(self._shown, status=status)
         if self._painter is not None:
-            self._painter.paint_status(status)
+            self._painter.paint_line(status_line(status, self._device.size()[0]))
 
     def _resized(self) -> bool:
         size = self._device.size()
@@ -206,5 +207,16 @@ class TerminalOracle(Oracle):
         return changed
 
     def _repaint(self) -> None:
-        if self._painter is not None:
-            self._painter.paint(self._shown, self._situation)
+        painter, situation = self._painter, self._situation
+        if painter is None:
+            return
+        place = painter.place()
+        drawn = situation if place.width and not self._shown.help else None
+        picture = None if drawn is None else Picture(drawn.image, drawn.marks, place)
+        times = 0.0 if drawn is None else drawn.times
+
+        def lines(picture_lines: list[Text], width: int, height: int) -> list[Text]:
+            shown = replace(self._shown, picture=picture_lines, times=times, remark=painter.remark)
+            return compose(shown, width, height, pictures=painter.pictures)
+
+        painter.paint(lines, picture)

@@ -1,5 +1,6 @@
 """The screen: what stands where, as lines of text for a size; it draws nothing and asks nothing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,12 +20,12 @@ _LEAST_PICTURE: Final = (24, 6)
 _FRAME_ROWS: Final = 5
 """The line at the top, the legend, two lines of keys and the line at the bottom."""
 
-_DIM: Final = Style(dim=True)
-_BOLD: Final = Style(bold=True)
+DIM: Final = Style(dim=True)
+BOLD: Final = Style(bold=True)
 _HEAD: Final = Style(reverse=True, bold=True)
 _WENT: Final = Style(color="yellow", bold=True)
 _MEANT: Final = Style(color="bright_cyan", bold=True)
-_GOAL: Final = Style(color="green", bold=True)
+GOAL: Final = Style(color="green", bold=True)
 
 KEYS: Final = (
     "y right   n wrong   0-9 better action   s skip   u undo",
@@ -108,54 +109,56 @@ def region(width: int, height: int, *, pictures: bool) -> Region:
 def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
-    body = height - 4
+    question, room = shown.question, height - 2 - len(KEYS)
+    head = f" koopdqn  {shown.task.name}"
+    if question is not None:
+        left = "" if question.left is None else f", {question.left} left"
+        head += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
     if shown.help:
-        lines = [Text(line) for line in HELP[:body]]
-    elif shown.question is None:
-        lines = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
+        body = [Text(line) for line in HELP]
+    elif question is None:
+        body = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
     else:
-        lines = beside(_left(shown, place, body), _right(shown, shown.question, width, place, body), place.width)
-    lines = (lines + [Text("")] * body)[:body]
-    lines = [_head(shown, width), *lines, *(Text(line, style=_DIM) for line in KEYS), status_line(shown.status, width)]
+        legend = [_legend(shown.times, place.width)] if shown.times else []
+        left_lines = picture_lines(shown.picture, legend, shown.remark, place)[:room]
+        body = beside(left_lines, _right(shown, question, width, place, room), place.width)
+    return framed(f"{head}   {shown.teacher}", body, KEYS, [status_line(shown.status, width)], width, height)
+
+
+def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text], width: int, height: int) -> list[Text]:
+    """Return a screen's lines: a bar with the head, the body as far as there is room, the keys, and the status."""
+    room = height - 1 - len(keys) - len(status)
+    body = (body + [Text("")] * room)[:room]
+    lines = [Text(head[:width].ljust(width), style=_HEAD), *body, *(Text(line, style=DIM) for line in keys)]
     for line in lines:
         line.truncate(width, overflow="crop")
-    return lines
+    return [*lines, *status]
+
+
+def picture_lines(picture: Sequence[Text], legend: Sequence[Text], remark: str, place: Region) -> list[Text]:
+    """Return what stands where a picture goes: its lines or room for it, and the legend; or the remark instead."""
+    if not place.width:
+        return []
+    if remark:
+        return [Text(""), *wrapped(remark, place.width, DIM)]
+    return [*(picture or [Text("")] * place.rows), *legend]
 
 
 def status_line(status: str, width: int) -> Text:
     """Return the line at the bottom."""
     # One short of the width: a character in the corner makes some terminals scroll.
-    line = Text(status, style=_BOLD)
+    line = Text(status, style=BOLD)
     line.truncate(width - 1, overflow="ellipsis")
     return line
 
 
-def _head(shown: Shown, width: int) -> Text:
-    question = shown.question
-    text = f" koopdqn  {shown.task.name}"
-    if question is not None:
-        left = "" if question.left is None else f", {question.left} left"
-        text += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
-    text += f"   {shown.teacher}"
-    return Text(text[:width].ljust(width), style=_HEAD)
-
-
-def _left(shown: Shown, place: Region, body: int) -> list[Text]:
-    if not place.width:
-        return []
-    if shown.remark:
-        return [Text(""), *wrapped(shown.remark, place.width, _DIM)]
-    lines = shown.picture or [Text("")] * place.rows
-    return [*lines, *([] if not shown.times else [_legend(shown.times, place.width)])][:body]
-
-
 def _legend(times: float, width: int) -> Text:
     text = Text.assemble(
-        ("b", _BOLD), " before ", ("r", _WENT), " reached ", ("m", _MEANT), " model ", ("g", _GOAL), " goal"
+        ("b", BOLD), " before ", ("r", _WENT), " reached ", ("m", _MEANT), " model ", ("g", GOAL), " goal"
     )
     for more in ("  xyz base axes", f"  motion drawn {times:.0f}x"):
         if len(text) + len(more) <= width:
-            text += Text(more, style=_DIM)
+            text += Text(more, style=DIM)
     return text
 
 
@@ -164,18 +167,18 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
     drawn = f" (drawn {shown.times:.0f}x)" if shown.times else ""
     lines = [
         *(wrapped(wording.place(question), room) if question.place else []),
-        *wrapped(f"Was this right? The arm {wording.meaning(question.action)}.", room, _BOLD),
+        *wrapped(f"Was this right? The arm {wording.meaning(question.action)}.", room, BOLD),
         _pair("moved", wording.moved(question) + drawn),
         _pair("to go", wording.remaining(question, shown.task)),
         _pair("goal", wording.nearer(question, shown.task)),
         _pair("model", wording.opinion(question)),
         *wrapped(f"Asked because {question.reason or 'the intent model is not trusted here'}.", room),
     ]
-    learning = wrapped(f"Learning: {question.progress}", room, _DIM) if question.progress else []
+    learning = wrapped(f"Learning: {question.progress}", room, DIM) if question.progress else []
     keys = []
     if question.earlier:
-        keys += wrapped(f"Latest: {wording.recalled(question.earlier[-1])} (u)", room, _DIM)
-    keys.append(Text("Better, by key (mm to the goal):", style=_BOLD))
+        keys += wrapped(f"Latest: {wording.recalled(question.earlier[-1])} (u)", room, DIM)
+    keys.append(Text("Better, by key (mm to the goal):", style=BOLD))
     texts = wording.choices(question, shown.task)
     half = (len(texts) + 1) // 2
     cells = [_choice(action, text, question.action) for action, text in enumerate(texts)]
@@ -189,12 +192,12 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
 
 
 def _choice(action: int, text: str, asked: int) -> Text:
-    style = _DIM if text == "-" else _WENT if action == asked else Style()
-    return Text.assemble((f"{action}", _BOLD if text != "-" else _DIM), "*" if action == asked else " ", (text, style))
+    style = DIM if text == "-" else _WENT if action == asked else Style()
+    return Text.assemble((f"{action}", BOLD if text != "-" else DIM), "*" if action == asked else " ", (text, style))
 
 
 def _pair(name: str, value: str) -> Text:
-    return Text.assemble((f"{name:<6}", _DIM), value)
+    return Text.assemble((f"{name:<6}", DIM), value)
 
 
 def wrapped(text: str, width: int, style: Style | None = None) -> list[Text]:
