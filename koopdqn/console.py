@@ -69,18 +69,6 @@ class Stage:
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, advance=steps, note=self.note)
 
-    @contextmanager
-    def paused(self) -> Iterator[None]:
-        """Take the bar off the terminal while a person is asked something."""
-        if self._bar is None:
-            yield
-            return
-        self._bar.stop()
-        try:
-            yield
-        finally:
-            self._bar.start()
-
 
 @contextmanager
 def stage(description: str, total: float | None = None, *, bar: bool = True) -> Iterator[Stage]:

@@ -20,7 +20,7 @@ import numpy as np
 from imitation.imitator import Imitator
 from primitives import PRIMITIVES, Primitive, learn
 
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.exit_status import guard
 from koopdqn.app.hydra.compose import composed
@@ -73,9 +73,9 @@ def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ())
 
     config = configuration_of(run, overrides)
     torch.set_num_threads(config.train.threads)
-    workcell = stages.open_scene(config)
-    demonstrations = stages.demonstrations_of(config, run)
-    intent = read_intent(run / stages.INTENT, config.task)
+    workcell = pipeline.open_scene(config)
+    demonstrations = pipeline.demonstrations_of(config, run)
+    intent = read_intent(run / pipeline.INTENT, config.task)
     trajectories = agent_steps(demonstrations, config.task)
     trained = read_json(run / "train.json", "the training report")
     step_limit, questions = int(trained["step_limit"]), int(trained["oracle_queries"])

@@ -141,7 +141,7 @@ def test_an_error_of_memory_during_work_is_no_fault_of_the_program(
         def fail(*_: object, error: Exception = error) -> None:
             raise error
 
-        monkeypatch.setattr("koopdqn.app.commands.stages.open_scene", fail)
+        monkeypatch.setattr("koopdqn.app.commands.pipeline.open_scene", fail)
         assert "this machine's memory does not suffice" in refused(capsys, "demo", status=1)
 
 

@@ -18,7 +18,7 @@ from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.recording import DemoSettings
-from koopdqn.app.recording.playing import overlapped, played, rounded, seconds_along
+from koopdqn.app.recording.playing import overlap_turns, play, round_corners, seconds_along
 from koopdqn.app.recording.recorder import MOVES, Recorder, State, target
 from koopdqn.app.recording.screen import HELP, Shown, compose
 from koopdqn.app.recording.session import LOG, Recording
@@ -220,14 +220,14 @@ def test_steps_have_limits_and_a_path_needs_one(recorder: Recorder, small: Parts
 def test_rounding_keeps_the_ends_and_stays_within_its_window(seed: int, around: int, count: int) -> None:
     steps = np.random.default_rng(seed).normal(size=(count, 3))
     poses = pose.make(np.cumsum(steps, axis=0), [1.0, 0.0, 0.0, 0.0])
-    result = rounded(poses, around)
+    result = round_corners(poses, around)
     assert len(result) == len(poses) + 2 * around
     assert np.array_equal(result[[0, -1]], poses[[0, -1]])
     padded = np.concatenate([np.repeat(poses[:1], around, axis=0), poses, np.repeat(poses[-1:], around, axis=0)])
     furthest = around * np.linalg.norm(steps, axis=1).max()
     assert np.linalg.norm((result - padded)[:, POSITION], axis=1).max() <= furthest + 1e-9
     straight = pose.make(np.linspace(0, 1, count)[:, None] * np.ones(3), [1.0, 0.0, 0.0, 0.0])
-    assert np.allclose(np.diff(rounded(straight, around)[:, :3] @ [1, -1, 0]), 0.0), "a straight line stays one"
+    assert np.allclose(np.diff(round_corners(straight, around)[:, :3] @ [1, -1, 0]), 0.0), "a straight line stays one"
 
 
 @given(keys=st.text("wsadrfijo", min_size=1, max_size=20), scale=st.floats(0.1, 4))
@@ -236,7 +236,7 @@ def test_turns_are_made_during_the_move_that_follows_them(small: Parts, keys: st
     keyboard = small.demo.keyboard
     for key in keys:
         path.append(target(key, path[-1], small.task.goal, scale * keyboard.step_m, keyboard.turn_rad))
-    found = overlapped(np.array(path), small.demo)
+    found = overlap_turns(np.array(path), small.demo)
     assert pose.rotation_distance(found[[0, -1]], np.array(path)[[0, -1]]).max() < 1e-7
     # Wherever a move ends, the tool is turned as it was when the key was pressed.
     for before, after in pairwise(path):
@@ -261,7 +261,7 @@ def test_the_speed_is_the_set_one_however_long_a_person_thinks(
     demo: DemoSettings = small.demo.model_copy(
         update={"keyboard": small.demo.keyboard.model_copy(update={"rounding_m": rounding})}
     )
-    item, reason = played(path, joints, demo, cell.reachability)
+    item, reason = play(path, joints, demo, cell.reachability)
     assert not reason
     interval = np.diff(item.times)
     np.testing.assert_allclose(interval[interval > 0.5 * demo.sample_seconds], demo.sample_seconds, atol=1e-9)
@@ -284,7 +284,7 @@ def test_a_path_that_rounding_would_take_through_the_scene_is_rounded_less(workc
         recorder.press("a")
     path, joints = np.array(recorder.state.path), recorder.state.joints[0]
     wide = parts.demo.model_copy(update={"keyboard": parts.demo.keyboard.model_copy(update={"rounding_m": 0.1})})
-    item, reason = played(path, joints, wide, workcell.reachability)
+    item, reason = play(path, joints, wide, workcell.reachability)
     assert reason.startswith("collision: ")
     assert item.joints is not None
     assert not any(workcell.scene.contact(each) for each in item.joints)

@@ -76,11 +76,11 @@ def journal_path(given: Path) -> Path:
 def show(journals: Sequence[Path], *, as_json: bool) -> int:
     """Print every answer of some journals and their figures, or the figures alone as JSON; return 0."""
     from koopdqn.oracles.journal import read_records
-    from koopdqn.oracles.repair import summarised
+    from koopdqn.oracles.repair import summarise
 
     paths = [journal_path(given) for given in journals]
     read = [read_records(path) for path in paths]
-    summary = summarised(read)
+    summary = summarise(read)
     if as_json:
         typer.echo(json.dumps(summary.model_dump(mode="json"), indent=2, sort_keys=True))
         return 0

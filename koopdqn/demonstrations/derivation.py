@@ -11,12 +11,12 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
-from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, smoothed, trimmed_each, turning_of
+from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Positive
-from koopdqn.tasks.demonstrated import DemonstratedTask, Turning
+from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
@@ -59,7 +59,7 @@ class Derivation(TaskChoice):
     place: Literal["auto"] | None = Field(
         description="auto: move all demonstrations rigidly to where the arm can follow them; null: leave them"
     )
-    turning: Turning | None = Field(description="what becomes of orientation")
+    turning: RotationType | None = Field(description="what becomes of orientation")
     step_m: float | None = Field(ge=1e-4, le=0.05, description="distance of one action [m]")
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
@@ -86,19 +86,19 @@ class Derivation(TaskChoice):
                 is at the goal.
         """
         kept = self.kept_of(len(demonstrations))
-        cut = trimmed_each(demonstrations.items)
-        even = [smoothed(each.item) for each in cut]
-        learned, aside = even[: len(even) - kept], even[len(even) - kept :]
+        cut = trim_idle_each(demonstrations.items)
+        smoothed = [smooth(each.item) for each in cut]
+        learned, aside = smoothed[: len(smoothed) - kept], smoothed[len(smoothed) - kept :]
         goal = preprocess.goal_of(learned)
         spread = preprocess.check_position(learned, goal, self.end_spread)
         shown = [item.poses for item in learned]
-        turning = self.turning or turning_of(shown, goal, self.held_limit_rad)
+        turning = self.turning or rotation_type_of(shown, goal, self.held_limit_rad)
         if turning != "free":
             preprocess.check_orientation(learned, goal, self.end_spread_rad)
-        moved = [_oriented(preprocess.to_goal(item, goal), goal, turning) for item in learned]
+        moved = [_oriented(preprocess.align_goal(item, goal), goal, turning) for item in learned]
         task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
         notes = (
-            _about_recordings(cut, even, kept),
+            _about_recordings(cut, smoothed, kept),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_ABOUT_ONE[: len(learned) == 1],
@@ -119,7 +119,7 @@ class Derivation(TaskChoice):
             )
         return kept
 
-    def _task(self, training: Demonstrations, goal: Array, turning: Turning, kept: int) -> DemonstratedTask:
+    def _task(self, training: Demonstrations, goal: Array, turning: RotationType, kept: int) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
         turn = TURNS_PER_STEP * self.rotation_tolerance_rad
         trajectories = to_step([item.poses for item in training.items], step, turn)
@@ -158,7 +158,7 @@ class Derivation(TaskChoice):
         )
 
 
-def _oriented(item: Demonstration, goal: Array, turning: Turning) -> Demonstration:
+def _oriented(item: Demonstration, goal: Array, turning: RotationType) -> Demonstration:
     """Return a demonstration with the goal's orientation all along, unless the turn is learned."""
     if turning == "geodesic":
         return item
@@ -178,10 +178,10 @@ def _middle_one(trajectories: list[Array]) -> int:
     return int(apart.argmin())
 
 
-def _about_recordings(cut: list[Trimmed], even: list[Demonstration], kept: int) -> str:
-    noise = max(_taken_out(each.item, item) for each, item in zip(cut, even, strict=True))
+def _about_recordings(cut: list[Trimmed], smoothed: list[Demonstration], kept: int) -> str:
+    noise = max(_taken_out(each.item, item) for each, item in zip(cut, smoothed, strict=True))
     before, after = (max(values) for values in zip(*((each.before, each.after) for each in cut), strict=True))
-    learned = len(even) - kept
+    learned = len(smoothed) - kept
     return (
         f"made from {learned} demonstration{'s' if learned > 1 else ''}, {kept or 'none'} kept for evaluation; idle"
         f" ends cut off: up to {before:.2f} s before and {after:.2f} s after the motion; noise smoothed: up to"
@@ -189,10 +189,10 @@ def _about_recordings(cut: list[Trimmed], even: list[Demonstration], kept: int) 
     )
 
 
-def _taken_out(rough: Demonstration, even: Demonstration) -> float:
-    """Return the root mean square distance [m] of a recording from what smoothing made of it."""
-    there = at_arc_lengths(even.poses[:, pose.POSITION], even.times, rough.times)
-    return float(np.sqrt(((rough.poses[:, pose.POSITION] - there) ** 2).sum(axis=1).mean()))
+def _taken_out(recorded: Demonstration, smoothed: Demonstration) -> float:
+    """Return the RMS distance [m] between a recording and its smoothed version."""
+    there = at_arc_lengths(smoothed.poses[:, pose.POSITION], smoothed.times, recorded.times)
+    return float(np.sqrt(((recorded.poses[:, pose.POSITION] - there) ** 2).sum(axis=1).mean()))
 
 
 def _about_ends(task: DemonstratedTask, spread: float) -> str:
@@ -232,8 +232,8 @@ _UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
 _TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
 
 
-def found_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
-    """Return the smallest of the moves tried with which the arm can follow all trajectories (N, 7), with room.
+def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
+    """Return the smallest rigid motion tried after which the arm can follow all trajectories (N, 7) with room.
 
     Around the arm's first joint all places are alike, so the set is turned about its own middle, and moved away from
     the base or toward it, and up or down.

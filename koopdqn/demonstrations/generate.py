@@ -17,8 +17,8 @@ from koopdqn.tasks.task import Task
 
 _HARMONICS = 3
 _SUBSTEPS = 4
-# From one start, two demonstrations of a set differ by at least this share of the wander (Hausdorff distance), so
-# that no two are nearly the same: 5.2 mm where the wander is 4.5 mm.
+# From one start, two demonstrations of a set differ by at least this share of the variation (Hausdorff distance), so
+# that no two are nearly the same: 5.2 mm where the variation is 4.5 mm.
 _LEAST_DIFFERENCE = 1.155
 # Paths are smooth: every fourth pose, a step apart, tells them apart as well as all do.
 _COARSER = _SUBSTEPS
@@ -75,7 +75,7 @@ def generate(
         joints, reason = None, reachability.enter(start).reason
         if not reason:
             shape = shapes.draw()
-            times, poses = _paced(_wandered(_follow(task, start), shape), settings, rng)
+            times, poses = _paced(_varied(_follow(task, start), shape), settings, rng)
             joints, reason = reachability.follow(poses)
         if joints is None:
             if not redrawn:
@@ -94,7 +94,7 @@ def generate(
 
 
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
-    """Raise unless the arm can follow the demonstrator without variation; where it cannot, drawing again is no use."""
+    """Raise unless the arm can follow the demonstrator without variation: drawing again would not help."""
     _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
     joints, motion = reachability.follow_as_far(poses)
     if motion.joints is None:
@@ -104,7 +104,7 @@ def _check_path(task: Task, reachability: Reachability, settings: DemonstrationS
         )
 
 
-def wander(task: Task, rng: np.random.Generator) -> Array:
+def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
     """Return a smooth offset (M, 3) [m] for every point of the task's path.
 
     It is a short random sine series along the path that vanishes at both ends and whose largest
@@ -118,7 +118,7 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
 
 
 class _Shapes:
-    """Shapes of a set of demonstrations, each told apart from the others on the path from one and the same start."""
+    """Variations of a set of demonstrations, any two of which differ on the path from the nominal start."""
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
         self._task, self._rng = task, rng
@@ -126,21 +126,21 @@ class _Shapes:
         self._kept: list[Array] = []
 
     def draw(self) -> Array:
-        """Return a new shape (M, 3) [m]; in a crowded set, that has no room for another, it is as it comes."""
+        """Return a new variation (M, 3) [m]; after a thousand that resemble others the next is taken as it is."""
         for _ in range(1000):
-            shape = wander(self._task, self._rng)
+            shape = smooth_variation(self._task, self._rng)
             path = self._shown(shape)
             least = _LEAST_DIFFERENCE * self._task.variation_m
             if all(hausdorff(path, other) >= least for other in self._kept):
                 return shape
-        return wander(self._task, self._rng)
+        return smooth_variation(self._task, self._rng)
 
     def keep(self, shape: Array) -> None:
-        """Take a shape (M, 3) [m] into the set."""
+        """Add a variation (M, 3) [m] to the set."""
         self._kept.append(self._shown(shape))
 
     def _shown(self, shape: Array) -> Array:
-        return _wandered(self._path, shape)[::_COARSER, pose.POSITION]
+        return _varied(self._path, shape)[::_COARSER, pose.POSITION]
 
 
 def _follow(task: Task, start: Array) -> Array:
@@ -148,8 +148,8 @@ def _follow(task: Task, start: Array) -> Array:
     return task.law(finer=_SUBSTEPS).roll_out(start, limit)
 
 
-def _wandered(path: Array, shape: Array) -> Array:
-    # The wander lies on the person's own path from this start, however gently that comes back to the nominal one.
+def _varied(path: Array, shape: Array) -> Array:
+    # The variation lies on the person's own path from this start, however gently that comes back to the nominal one.
     arc = arc_lengths(path[:, pose.POSITION])
     offset = at_arc_lengths(shape, np.linspace(0.0, arc[-1], len(shape)), arc)
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])

@@ -10,7 +10,7 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrated import Turning
+from koopdqn.tasks.demonstrated import RotationType
 
 # A demonstration is bent over ten times what its end is moved by, so that its direction changes by no more than
 # some ten degrees; a short one over its later half.
@@ -62,7 +62,7 @@ def check_orientation(items: Sequence[Demonstration], goal: Array, most: float) 
         )
 
 
-def to_goal(item: Demonstration, goal: Array) -> Demonstration:
+def align_goal(item: Demonstration, goal: Array) -> Demonstration:
     """Return a demonstration bent so that it ends at the goal (7,), without its joint angles.
 
     The later a pose, the more of the way from the demonstration's own end to the goal it is moved and turned: a
@@ -113,7 +113,7 @@ class Trimmed:
     after: float
 
 
-def trimmed(item: Demonstration) -> Trimmed:
+def trim_idle(item: Demonstration) -> Trimmed:
     """Return a demonstration without its idle ends.
 
     The arm stands still as long as every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first one, or
@@ -141,7 +141,7 @@ def trimmed(item: Demonstration) -> Trimmed:
     return Trimmed(Demonstration(item.times[first : last + 1], poses, joints), float(before), float(after))
 
 
-def trimmed_each(items: Sequence[Demonstration]) -> list[Trimmed]:
+def trim_idle_each(items: Sequence[Demonstration]) -> list[Trimmed]:
     """Return demonstrations without their idle ends.
 
     Raises:
@@ -150,16 +150,16 @@ def trimmed_each(items: Sequence[Demonstration]) -> list[Trimmed]:
     found = []
     for index, item in enumerate(items):
         try:
-            found.append(trimmed(item))
+            found.append(trim_idle(item))
         except BadInputError as error:
             raise BadInputError(f"demonstration {index}: {error}") from error
     return found
 
 
 def noise_of(item: Demonstration) -> tuple[float, float]:
-    """Return the standard deviations of the noise of positions [m] and orientations [rad], each that of its length.
+    """Return the standard deviations of the sensor noise of positions [m] and of orientations [rad].
 
-    It is the median size of second differences, which motion hardly shows in: those of white noise of standard
+    They come from the median size of second differences, which motion hardly shows in: those of white noise of standard
     deviation σ have √6·σ in each component.
     """
     if len(item) < _FEWEST:
@@ -194,7 +194,7 @@ _CONSTANT = 1e-6
 _LOG_PENALTIES = (-12.0, 18.0)
 
 
-def smoothed(item: Demonstration) -> Demonstration:
+def smooth(item: Demonstration) -> Demonstration:
     """Return a demonstration whose sensor noise is smoothed out.
 
     Each component of position and quaternion is the minimiser of ‖y − z‖² + λ‖Δ²z‖² (Whittaker 1923), with the λ that
@@ -252,7 +252,7 @@ def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
     )
 
 
-def turning_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> Turning:
+def rotation_type_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> RotationType:
     """Return what pose trajectories (N, 7) do with orientation on their way to the goal (7,).
 
     Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Geodesic: anything else. People turn a

@@ -1,4 +1,4 @@
-"""What comes without learning, from the same starts as a policy, also with K replaced."""
+"""Baselines: methods that learn nothing, from the same starts as a policy, some with K replaced."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -179,7 +179,7 @@ def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
     return np.concatenate([straight_path(start, nearest[0], task), nearest[1:]])
 
 
-def without_learning(
+def baseline_episodes(
     workcell: Workcell, reward: IntentReward, trajectories: list[Array], starts: Array, joints: Array, step_limit: int
 ) -> Iterator[tuple[str, list[Episode]]]:
     """Yield the episodes of every method of :class:`koopdqn.evaluation.schema.Baselines`, by its name.

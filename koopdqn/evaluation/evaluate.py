@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.evaluation.baselines import without_learning
+from koopdqn.evaluation.baselines import baseline_episodes
 from koopdqn.evaluation.dynamics import execute, summarise
 from koopdqn.evaluation.metrics import hausdorff_mm, measure, reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, HoldoutReport, MethodReport
@@ -38,7 +38,7 @@ class EvaluationSettings(Settings):
     time_scale: float = Field(
         ge=1, le=1000, description="how many times robot.step_seconds one step takes in that execution"
     )
-    baselines: bool = Field(description="also measure what comes without learning, from the same starts")
+    baselines: bool = Field(description="also measure methods that learn nothing, from the same starts")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def evaluate(
     Args:
         workcell: task, arm and scene.
         policy: chooses the actions (N,) from poses (N, 7).
-        reward: with the fitted intent and its tube, for ``tube_fraction`` and what comes without learning.
+        reward: with the fitted intent and its tube, for ``tube_fraction`` and the baselines.
         trajectories: demonstrated poses (N, 7) at the agent's step, for the baselines that replay them.
         settings: on which starts, and what is measured beside.
         step_limit: steps after which an episode fails.
@@ -108,7 +108,7 @@ def evaluate(
     advance(len(episodes))
     baselines = {}
     if settings.baselines:
-        for name, made in without_learning(workcell, reward, trajectories, starts, joints, step_limit):
+        for name, made in baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit):
             baselines[name] = _measured(workcell, reward, made, references)
             advance(len(made))
     holdout, compared = None, episodes if held_out is None else []
@@ -185,7 +185,7 @@ def _holdout(
     beside = None
     if baselines:
         # Where the arm can take no start there is nothing to make.
-        made = dict(without_learning(workcell, reward, trajectories, starts, joints, step_limit)) if ready else {}
+        made = dict(baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit)) if ready else {}
         beside = Baselines(**{name: measured(name, made.get(name, []))[0] for name in Baselines.model_fields})
     holdout = HoldoutReport(
         demonstrations=len(held_out),

@@ -254,7 +254,7 @@ def _length_ratio(moved: list[tuple[Array, Array]]) -> float | None:
     return float((lengths[:, 0] / lengths[:, 1]).mean()) if len(lengths) else None
 
 
-# A law that moves less than this [m, rad] in a step has come to rest; it is far under any tolerance.
+# A demonstrator that moves less than this [m, rad] in a step has come to rest; it is far under any tolerance.
 _REST = 1e-6
 
 

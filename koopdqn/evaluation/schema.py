@@ -125,7 +125,7 @@ class DynamicsReport(ReportModel):
 
 
 class Baselines(ReportModel):
-    """What comes without learning, from the same starts."""
+    """Methods that learn nothing, from the same starts."""
 
     straight_line: MethodReport = Field(
         description="straight to the goal, turning evenly, in equal steps of at most the task's step"
@@ -176,7 +176,7 @@ class HoldoutReport(ReportModel):
         description="(H,) distance of each demonstration's own end from the task's goal, the mean of those learned from"
     )
     policy: MethodReport = Field(description="the policy from these starts")
-    baselines: Baselines | None = Field(description="what comes without learning, from these starts")
+    baselines: Baselines | None = Field(description="methods that learn nothing, from these starts")
 
 
 class EvaluationReport(MethodReport):
@@ -195,7 +195,7 @@ class EvaluationReport(MethodReport):
     )
     step_limit: Count = Field(description="steps after which an episode of the policy or of greedy fails")
     dynamics: DynamicsReport | None = Field(description="execution in dynamics; null if not asked for")
-    baselines: Baselines | None = Field(description="what comes without learning; null if not asked for")
+    baselines: Baselines | None = Field(description="methods that learn nothing; null if not asked for")
     holdout: HoldoutReport | None = Field(
         description="from the starts of held-out demonstrations; null unless the task is made from demonstrations and"
         " some are held out"

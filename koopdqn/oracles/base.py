@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class PauseRequested(KoopdqnError):  # noqa: N818 (a wish of the person's, no fault)
-    """Who answers wants to go on another time: what is answered is kept, and the command ends with status 130."""
+    """Whoever answers wants to go on another time: what is answered is kept, and the command ends with status 130."""
 
     exit_status = 130
 
@@ -43,11 +43,11 @@ class Earlier:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a question stands among those gathered in an episode and asked at its end.
+    """Where a question stands among those put off in an episode and asked at its end.
 
     Attributes:
-        number: of the question among those asked, from 1.
-        expected: of them all, if every answer is yes; a no ends them.
+        number: of the question, from 1.
+        expected: how many there are if every answer is yes; a no ends them.
     """
 
     number: int
@@ -156,7 +156,7 @@ class OracleSettings(Settings, ABC):
         description="when to ask: where a question arises, or all of an episode together when it has ended",
     )
     gather_most: Count = Field(
-        default=10, description="with ask=episode: questions gathered in an episode, which ends at so many"
+        default=10, description="with ask=episode: questions put off in an episode, which ends at so many"
     )
 
     def check(self) -> None:

@@ -52,7 +52,7 @@ class FeedbackSummary(ReportModel):
 _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wrong": False, "s": None, "skip": None}
 
 
-def parsed_answer(text: str, action: int) -> tuple[bool | None, int | None]:
+def parse_answer(text: str, action: int) -> tuple[bool | None, int | None]:
     """Return what a text answers to a question about an action: right, and the better action.
 
     Raises:
@@ -71,7 +71,7 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     Args:
         path: the journal.
         number: of the answer.
-        text: the new answer, as :func:`parsed_answer` reads it.
+        text: the new answer, as :func:`parse_answer` reads it.
         teacher: who changes it; None keeps who answered.
         learned: how many answers the run in the journal's folder has learned from.
         drop_later: whether all later answers no longer count.
@@ -86,7 +86,7 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     if records.items[number].withdrawn and not drop_later:
         raise BadInputError(f"number: must be that of an answer that stands, found {number}, which was withdrawn")
     line = records.items[number].line
-    right, better = parsed_answer(text, line.action)
+    right, better = parse_answer(text, line.action)
     file = JournalFile(path)
     try:
         file.append(
@@ -186,7 +186,7 @@ def _key(item: Record) -> tuple[object, ...]:
     return item.line.episode, item.line.step, item.line.action, *item.line.pose
 
 
-def summarised(journals: Sequence[Records]) -> FeedbackSummary:
+def summarise(journals: Sequence[Records]) -> FeedbackSummary:
     """Return the figures of some journals together."""
     items = [item for records in journals for item in records.items]
     standing = [item for records in journals for item in records.standing]

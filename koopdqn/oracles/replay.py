@@ -58,7 +58,7 @@ class ReplayOracle(Oracle):
                 f" answers and one more question (episode {question.episode}, step {question.step}, action"
                 f" {question.action})"
             )
-        return written_answer(self._items[question.number], question, self._path)
+        return recorded_answer(self._items[question.number], question, self._path)
 
 
 class JournalledOracle(Oracle):
@@ -98,7 +98,7 @@ class JournalledOracle(Oracle):
             PauseRequested: who answers wants to go on another time.
         """
         if self.questions < len(self._written):
-            answer = written_answer(self._written[self.questions], question, self._path)
+            answer = recorded_answer(self._written[self.questions], question, self._path)
         else:
             progress = question.progress or self._progress
             answer = self._asked(replace(question, number=self.questions, progress=progress))
@@ -153,7 +153,7 @@ def answer_line(number: int, question: Question, answer: Answer) -> AnswerLine:
     )
 
 
-def written_answer(record: Record, question: Question, path: Path) -> Answer:
+def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
     """Return a written answer again.
 
     Raises:

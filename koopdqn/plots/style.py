@@ -16,7 +16,7 @@ from matplotlib.patches import Rectangle
 from koopdqn import pose
 from koopdqn.files import atomic_path
 from koopdqn.pose import Array
-from koopdqn.robot.render import Ghost, Image, Line, render
+from koopdqn.robot.render import Camera, Ghost, Image, Line
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.view import choose_view
 from koopdqn.tasks.task import Task
@@ -206,4 +206,5 @@ def draw_motion(
     """
     colours = series_colours(len(paths)) if colours is None else colours
     lines = [Line(path, rgba(colour)) for path, colour in zip(paths, colours, strict=True)]
-    return render(scene, joints[-1], choose_view(scene, joints, size), size, lines, ghosts=[Ghost(joints[0])])
+    with Camera(scene, size) as camera:
+        return camera.picture(joints[-1], choose_view(scene, joints, size), lines, ghosts=[Ghost(joints[0])])

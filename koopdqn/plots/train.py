@@ -1,4 +1,4 @@
-"""The picture of ``koopdqn train``: when it was learned, what was gathered, and who gave the rewards."""
+"""The picture of ``koopdqn train``: when it was learned, the rewards of episodes, and who gave them."""
 
 from pathlib import Path
 from typing import Any

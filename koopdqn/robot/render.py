@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopdqn.errors import WorkFailedError
+from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.robot import DISABLED, VARIABLE
 from koopdqn.robot.scene import Scene
@@ -20,6 +21,7 @@ from koopdqn.robot.view import View
 Image = NDArray[np.uint8]
 """A picture (height, width, 3), red, green, blue."""
 Rgba = tuple[float, float, float, float]
+"""Red, green, blue and opacity, each 0…1."""
 
 _MAX_GEOMS: Final = 10_000
 _SEGMENT: Final = 0.012
@@ -34,13 +36,7 @@ _DEPTH_SLACK: Final = 2e-3
 
 @dataclass(frozen=True)
 class Line:
-    """A path drawn as a tube.
-
-    Attributes:
-        points: (N, 3) [m].
-        rgba: colour, each part 0…1.
-        radius: of the tube [m].
-    """
+    """A path drawn as a tube: points (N, 3) [m], a colour and the tube's radius [m]."""
 
     points: Array
     rgba: Rgba
@@ -49,13 +45,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A mark.
-
-    Attributes:
-        center: (3,) [m].
-        rgba: colour, each part 0…1.
-        radius: [m].
-    """
+    """A mark: its center (3,) [m], colour and radius [m]."""
 
     center: Array
     rgba: Rgba
@@ -64,12 +54,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Ghost:
-    """The arm once more, seen through.
-
-    Attributes:
-        joints: (6,) [rad].
-        opacity: 0…1.
-    """
+    """The arm once more, seen through: its joint angles (6,) [rad] and an opacity 0…1."""
 
     joints: Array
     opacity: float = 0.3
@@ -211,25 +196,5 @@ class Camera:
 
 def _thinned(points: Array, spacing: float) -> Array:
     """Return points (M, 3) of a polyline (N, 3) at least ``spacing`` [m] of its length apart, both ends kept."""
-    points = np.asarray(points, dtype=float)
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    _, first = np.unique(np.floor(arc / spacing), return_index=True)
-    return np.asarray(points[np.unique(np.append(first, len(points) - 1))])
-
-
-def render(
-    scene: Scene,
-    joints: Array,
-    view: View,
-    size: tuple[int, int],
-    lines: Sequence[Line] = (),
-    spheres: Sequence[Sphere] = (),
-    ghosts: Sequence[Ghost] = (),
-) -> Image:
-    """Return one picture, as :meth:`Camera.picture` does; for several of one scene keep a :class:`Camera`.
-
-    Raises:
-        WorkFailedError: OpenGL does not work here.
-    """
-    with Camera(scene, size) as camera:
-        return camera.picture(joints, view, lines, spheres, ghosts)
+    _, first = np.unique(np.floor(arc_lengths(points) / spacing), return_index=True)
+    return np.asarray(points[np.unique(np.append(first, len(points) - 1))], dtype=float)

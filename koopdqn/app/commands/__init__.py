@@ -39,7 +39,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
-    from koopdqn.app.commands.stages import with_task
+    from koopdqn.app.commands.pipeline import with_task
 
     settings = Configuration.load(config)
     place, foreign = _COMMANDS[command]

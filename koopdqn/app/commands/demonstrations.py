@@ -9,14 +9,14 @@ import numpy as np
 from rich.console import RenderableType
 
 from koopdqn import console, pose
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.stages import DEMONSTRATIONS
+from koopdqn.app.commands.pipeline import DEMONSTRATIONS
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
-from koopdqn.demonstrations.preprocess import trimmed_each
+from koopdqn.demonstrations.preprocess import trim_idle_each
 from koopdqn.demonstrations.reading import files_of, read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.paths import arc_lengths
@@ -32,8 +32,8 @@ def demo(config: Configuration, folder: Path) -> CommandResult:
             f"run: must name a folder of demonstrations recorded with source=keyboard, which can go on,"
             f" found source={config.demo.source} in {str(config.inputs.run)!r}"
         )
-    workcell = stages.open_scene(config)
-    demonstrations, redrawn = stages.new_demonstrations(config, workcell)
+    workcell = pipeline.open_scene(config)
+    demonstrations, redrawn = pipeline.new_demonstrations(config, workcell)
     write_hdf5(folder / DEMONSTRATIONS, demonstrations)
     return _drawn(config, folder, workcell, demonstrations, {"redrawn": redrawn})
 
@@ -43,7 +43,7 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.app.recording.session import Recording
 
     check_keyboard(config.demo.keyboard.graphics)
-    workcell = stages.open_scene(config)
+    workcell = pipeline.open_scene(config)
     path = folder / DEMONSTRATIONS
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
         RecordingScreen(recording, workcell, config.demo.keyboard.graphics, console.shown_path(path)).run()
@@ -75,7 +75,7 @@ def _drawn(
 
     path = folder / DEMONSTRATIONS
     paths = [item.poses[:, pose.POSITION] for item in demonstrations.items]
-    image = stages.picture(workcell.scene, demonstrations.items[0].joints, paths)
+    image = pipeline.picture(workcell.scene, demonstrations.items[0].joints, paths)
     plot_demonstrations(folder / "demos.png", demonstrations, config.task, image)
     samples = [len(item) for item in demonstrations.items]
     result = {
@@ -113,7 +113,7 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
     """Write what ``demos=`` names to ``demos.hdf5``, sample for sample, and say what is in it."""
     demonstrations, sources = _read(config, "import")
     name, path = config.chosen.name, folder / DEMONSTRATIONS
-    cut = trimmed_each(demonstrations.items)
+    cut = trim_idle_each(demonstrations.items)
     reachable = [all(len(config.robot.solutions(here)) for here in each.item.poses) for each in cut]
     lengths = [float(arc_lengths(each.item.poses[:, pose.POSITION])[-1]) for each in cut]
     turns = [float(pose.rotation_distance(each.item.poses[0], each.item.poses[-1])) for each in cut]

@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import RenderableType
 
 from koopdqn import console
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.train import POLICY, REPORT
 from koopdqn.app.result import CommandResult
@@ -36,14 +36,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
     policy, about = read_policy(source / POLICY, config.task)
-    demonstrations = stages.demonstrations_of(config, source)
-    intent = read_intent(source / stages.INTENT, config.task)
+    demonstrations = pipeline.demonstrations_of(config, source)
+    intent = read_intent(source / pipeline.INTENT, config.task)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     for name, sha in made_from.items():
         if about["made_from"][name] != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     step_limit = _step_limit(source / REPORT)
-    workcell = stages.open_scene(config)
+    workcell = pipeline.open_scene(config)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
@@ -53,14 +53,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             config.eval,
             step_limit,
             stage.advance,
-            stages.held_out_of(config),
+            pipeline.held_out_of(config),
         )
     content = {**evaluation.report, "run": str(source)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
     paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
-    image = stages.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
+    image = pipeline.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
     plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",

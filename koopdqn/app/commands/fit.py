@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import RenderableType
 
 from koopdqn import console
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -19,9 +19,9 @@ from koopdqn.tasks.workcell import Workcell
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Fit to given or new demonstrations; write ``intent.npz``, ``fit.json`` and ``fit.png``."""
-    workcell = stages.open_scene(config)
-    demonstrations = stages.demonstrations_for(config, workcell, folder)
-    _, fitted = stages.fitted_intent(config, demonstrations, folder, _fresh(config, workcell))
+    workcell = pipeline.open_scene(config)
+    demonstrations = pipeline.demonstrations_for(config, workcell, folder)
+    _, fitted = pipeline.fitted_intent(config, demonstrations, folder, _fresh(config, workcell))
     report = fitted.report
     title = f"Intent {config.intent.name} on task {config.task.name}"
     title += ", one demonstration left out at a time" if report["demonstrations"] > 1 else ""
@@ -38,7 +38,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             f" {report['converging_share']:.1%} of the starts only"
         )
     lines += [
-        f"intent   {console.shown_path(folder / stages.INTENT)}",
+        f"intent   {console.shown_path(folder / pipeline.INTENT)}",
         f"report   {console.shown_path(folder / 'fit.json')}",
         f"picture  {console.shown_path(folder / 'fit.png')}",
     ]
@@ -60,7 +60,7 @@ def _fresh(config: Configuration, workcell: Workcell) -> Demonstrations | None:
             f"fit.seed must differ from seed, or fresh demonstrations would be the old ones, found {config.fit.seed}"
         )
     settings = config.demo.model_copy(update={"count": config.fit.fresh})
-    return stages.generated("Demonstrating afresh", workcell, settings, config.fit.seed).demonstrations
+    return pipeline.generated("Demonstrating afresh", workcell, settings, config.fit.seed).demonstrations
 
 
 def _error_rows(report: dict[str, Any]) -> list[tuple[str, str]]:
@@ -107,7 +107,7 @@ def _trust_rows(report: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _held_out_rows(config: Configuration, fitted: Fitted) -> list[tuple[str, str]]:
     """Return how the intent, rolled out from the starts of demonstrations it has not seen, compares with them."""
-    aside = stages.held_out_of(config)
+    aside = pipeline.held_out_of(config)
     if not aside:
         return []
     ends, apart = [], []

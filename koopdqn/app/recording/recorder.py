@@ -7,7 +7,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.app.recording import DemoSettings
-from koopdqn.app.recording.playing import played, samples_of
+from koopdqn.app.recording.playing import play, sample_count
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, between
@@ -56,14 +56,14 @@ def target(key: str, here: Array, goal: Array, step: float, turn: float) -> Arra
 
 
 def same(a: Array, b: Array) -> bool:
-    """Return whether two poses (7,) are one."""
+    """Return whether two poses (7,) are equal up to rounding."""
     return bool(pose.position_distance(a, b) < _SAME_M and pose.rotation_distance(a, b) < _SAME_RAD)
 
 
-def driven(here: Array, there: Array, joints: Array, task: Task, reachability: Reachability) -> Motion:
-    """Return what becomes of moving the flange from one pose (7,) straight to another, from joints (6,) [rad].
+def drive(here: Array, there: Array, joints: Array, task: Task, reachability: Reachability) -> Motion:
+    """Return the motion of the flange from one pose (7,) straight to another, from joints (6,) [rad].
 
-    The way is tested at every step that an action of the agent would make of it.
+    The path is checked at every step that the agent would take along it.
     """
     steps = float(pose.position_distance(here, there)) / task.step_m
     turns = float(pose.rotation_distance(here, there)) / (_TURNS_PER_ACTION * task.rotation_tolerance_rad)
@@ -165,11 +165,11 @@ class Recorder:
 
     @property
     def samples(self) -> int:
-        """How many samples the path under way has; it is played at the speed that is set."""
-        return samples_of(np.array(self.state.path), self._settings) if self.state.moves else 1
+        """How many samples the path under way has when it is played."""
+        return sample_count(np.array(self.state.path), self._settings) if self.state.moves else 1
 
     def press(self, key: str, *, sure: bool = False) -> Reply:
-        """Do what a key says and tell it.
+        """Apply a key and return what it did.
 
         Args:
             key: one character.
@@ -190,7 +190,7 @@ class Recorder:
         there = target(key, self.here, self.task.goal, self.step, self.turn)
         if same(self.here, there):
             return Reply("Nothing to move: that is as the goal has it already", changed=False)
-        motion = driven(self.here, there, self.joints, self.task, self._workcell.reachability)
+        motion = drive(self.here, there, self.joints, self.task, self._workcell.reachability)
         if motion.joints is None:
             return Reply(f"Refused: {motion.reason.replace('_', ' ')}: {motion.detail}", changed=False)
         state = replace(
@@ -237,7 +237,7 @@ class Recorder:
             self._doubted = state
             return Reply(f"{self.off_goal()}; e again keeps it", changed=False)
         try:
-            item, reason = played(np.array(state.path), state.joints[0], self._settings, self._workcell.reachability)
+            item, reason = play(np.array(state.path), state.joints[0], self._settings, self._workcell.reachability)
         except WorkFailedError as error:
             return Reply(f"Not kept: the arm cannot follow at {self._settings.speed_m_s:g} m/s: {error}", changed=False)
         text = f"Kept: demonstration {len(state.kept)}, {len(item)} samples, {item.times[-1]:.1f} s"
@@ -248,7 +248,7 @@ class Recorder:
         return self._become(self._begun(state.start + 1, (*state.kept, item)), f"{text}; a new start")
 
     def off_goal(self) -> str:
-        """Return how far the goal is and what that means for ``fit`` and ``train``, in one line."""
+        """Return in one line how far the goal is, and within what distance ``fit`` and ``train`` accept it."""
         task = self.task
         apart = float(pose.position_distance(self.here, task.goal)) * 1e3
         turned = np.degrees(float(pose.rotation_distance(self.here, task.goal)))

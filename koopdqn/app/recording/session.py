@@ -19,12 +19,12 @@ from koopdqn.tasks.workcell import Workcell
 
 
 class SessionLine(ReportModel):
-    """What the keys were pressed for; the same keys for the same make the same demonstrations."""
+    """The settings of a recording: the same keys under the same settings make the same demonstrations."""
 
     kind: Literal["session"] = Field(description="what the line is")
     task: Name = Field(description="the task")
     workcell: Sha256 = Field(description="SHA-256 of the settings of task and robot")
-    seed: NonNegativeInt = Field(description="by which the starts are drawn")
+    seed: NonNegativeInt = Field(description="of the draws of starts")
     step_m: Positive = Field(description="what a key moves to begin with [m]")
     turn_rad: Positive = Field(description="what a key turns to begin with [rad]")
     rounding_m: NonNegative = Field(description="over how much of the path corners are rounded off [m]")
@@ -62,7 +62,7 @@ def session_line(workcell: Workcell, settings: DemoSettings, seed: int) -> Sessi
     )
 
 
-def logged_keys(path: Path, session: SessionLine) -> str:
+def read_keys(path: Path, session: SessionLine) -> str:
     """Return the keys of a recording's log; none where there is no log. A last line cut off by a crash is left out.
 
     Raises:
@@ -105,7 +105,7 @@ class Recording:
         Args:
             workcell: task, arm and scene.
             settings: how keys move the arm and how paths are played.
-            seed: by which starts are drawn.
+            seed: of the draws of starts.
             folder: the run folder.
             name: of the file of demonstrations in it.
 
@@ -117,7 +117,7 @@ class Recording:
         self._path = folder / name
         session = session_line(workcell, settings, seed)
         log = folder / LOG
-        keys = logged_keys(log, session)
+        keys = read_keys(log, session)
         before = self.demonstrations()
         for number, key in enumerate(keys, start=2):
             before = self.demonstrations()

@@ -1,4 +1,4 @@
-"""The stages that several commands go through; each makes what is missing and keeps it in the run folder."""
+"""The pipeline that commands share: each stage makes what is missing and keeps it in the run folder."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, found_placement
+from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
@@ -28,7 +28,7 @@ DEMONSTRATIONS = "demos.hdf5"
 
 
 def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configuration:
-    """Return a config whose task is made, if it must be, from ``demos=`` or what a folder holds; say what was found.
+    """Return the config with its task made from demonstrations if the option is a recipe; tell what was found.
 
     Args:
         config: the config.
@@ -72,7 +72,7 @@ def _placed(
     """Return demonstrations moved to where the arm can follow them, and the task made from them."""
     task = derived.task
     aside = agent_steps(replace(derived.training, items=derived.held_out), task) if derived.held_out else []
-    moved = found_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
+    moved = find_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
     return moved, recipe.derive(moved)
 
 
