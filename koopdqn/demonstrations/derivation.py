@@ -256,13 +256,7 @@ def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) 
 
 
 def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) -> str:
-    """Return where and why the arm cannot follow a trajectory (N, 7), or an empty string if it can.
-
-    Args:
-        reachability: the arm in its scene.
-        trajectory: poses at the agent's step.
-        every: only every so many poses are tried.
-    """
+    """Return where and why the arm cannot follow every so many of a trajectory's poses (N, 7); empty if it can."""
     rows = trajectory[::every]
     joints, motion = reachability.follow_as_far(rows)
     if motion.joints is not None:

@@ -103,13 +103,7 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
 
 
 def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:
-    """Return the executions' report.
-
-    Args:
-        executions: of paths, all with one time scale; may be none.
-        time_scale: how many times ``step_seconds`` one step took.
-        step_seconds: how long one step takes as planned [s].
-    """
+    """Return the report of executions, maybe none, each of whose steps took ``time_scale`` times ``step_seconds`` [s]."""
     touched = [execution for execution in executions if execution.contact_steps]
     errors = [execution.tracking_error_mm for execution in executions]
     tracking = summary(np.array([error.mean() for error in errors])).model_copy(

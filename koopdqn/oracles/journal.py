@@ -142,11 +142,7 @@ class Records:
         return [item for item in self.standing if item.line.right is not None]
 
     def add(self, line: Line) -> None:
-        """Take in the next line, other than a drop.
-
-        Raises:
-            ValueError: it is out of order or of no answer.
-        """
+        """Take in the next line, other than a drop; ValueError if it is out of order or of no answer."""
         count = len(self.items)
         if isinstance(line, AnswerLine):
             if line.number != count:
@@ -242,7 +238,7 @@ class JournalFile:
     """A journal, of answers or of keys, open for appending. Close it."""
 
     def __init__(self, path: Path) -> None:
-        """Open a journal, or begin one; a last line cut off by a crash goes.
+        """Open a journal for appending, or begin one; a last line cut off by a crash goes.
 
         Raises:
             BadInputError: the journal cannot be written.

@@ -53,11 +53,7 @@ _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wro
 
 
 def parse_answer(text: str, action: int) -> tuple[bool | None, int | None]:
-    """Return what a text answers to a question about an action: right, and the better action.
-
-    Raises:
-        BadInputError: it is no answer.
-    """
+    """Return what a text answers to a question about an action: right, and the better action."""
     if text.isascii() and len(text) == 1 and text.isdecimal():
         return int(text) == action, int(text)
     if text.lower() not in _ANSWERS:
@@ -108,14 +104,7 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
 
 @dataclass(frozen=True)
 class Merged:
-    """What became of journals that were merged.
-
-    Attributes:
-        answers: in the new journal.
-        opinions: of other teachers on them.
-        changed: answers that the majority changed.
-        left_out: answers to questions that the first journal does not have.
-    """
+    """The answers of a merged journal, others' opinions on them, changes by the majority, and answers left out."""
 
     answers: int
     opinions: int

@@ -38,20 +38,12 @@ class ReplayOracle(Oracle):
     """Gives a journal's answers again, those that were withdrawn later included, and the withdrawals."""
 
     def __init__(self, path: Path) -> None:
-        """Read the journal at ``path``.
-
-        Raises:
-            BadInputError: the journal cannot be read or is damaged.
-        """
+        """Read the journal at ``path``; BadInputError if it is damaged."""
         self._path = path
         self._items = read_records(path).items
 
     def answer(self, question: Question) -> Answer:
-        """Return the answer that has the question's number.
-
-        Raises:
-            BadInputError: it is the answer to another question, or the journal has no more answers.
-        """
+        """Return the answer of the question's number; BadInputError if there is none or it answers another question."""
         if question.number >= len(self._items):
             raise BadInputError(
                 f"journal {self._path}: must hold an answer to every question of the run, found {len(self._items)}"
@@ -154,11 +146,7 @@ def answer_line(number: int, question: Question, answer: Answer) -> AnswerLine:
 
 
 def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
-    """Return a written answer again.
-
-    Raises:
-        BadInputError: it is the answer to another question.
-    """
+    """Return a written answer again; BadInputError if it is the answer to another question."""
     line = record.line
     same = (line.episode, line.step, line.action) == (question.episode, question.step, question.action)
     if not same or not np.array_equal(line.pose, question.pose):

@@ -1,6 +1,5 @@
 """The picture of ``koopdqn fit``: how well the intent model predicts, where it is trusted, and its eigenvalues."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1060
-_MM = 1e3
+_MM, _DEGREE = 1e3, float(np.degrees(1.0))
 _OUTSIDE = 5e-5
 """By how much an eigenvalue is over 1 before it shows in four decimals."""
 
@@ -54,9 +53,11 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         if measured:
             cells = grid[0, :4].subgridspec(2 if turns else 1, 1)
             upper = figure.add_subplot(cells[0])
-            _position_errors(upper, fitted, task, room=1.9 if turns else 1.45)
+            _errors(upper, fitted, "m", _MM, task.position_tolerance_m, room=1.9 if turns else 1.45)
+            upper.set_title("Held-out one-step error: each demonstration predicted by the others")
             if turns:
-                _rotation_errors(figure.add_subplot(cells[1], sharex=upper), fitted, task)
+                lower = figure.add_subplot(cells[1], sharex=upper)
+                _errors(lower, fitted, "rad", _DEGREE, task.rotation_tolerance_rad, room=1.6)
                 upper.tick_params(labelbottom=False)
                 upper.set_xlabel("")
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
@@ -78,45 +79,27 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         first.set_title("Held-out error by component")
         first.legend(loc="upper right", ncols=2)
         if turns:
-            _components(figure.add_subplot(bars[1]), report["one_step_error_rad"], float(np.degrees(1)), "error [°]")
+            _components(figure.add_subplot(bars[1]), report["one_step_error_rad"], _DEGREE, "error [°]")
 
 
-def _position_errors(axes: Axes, fitted: Fitted, task: Task, room: float) -> None:
-    lines = [(task.position_tolerance_m * _MM, style.INK, "--", "compare tolerance")]
-    paper = fitted.report["sixty_samples"]["paper_max_m"]
-    if paper is not None:
-        lines.append((paper * _MM, style.GREY, ":", "largest in the paper"))
-    _errors(axes, fitted, fitted.report["one_step_error_per_step_m"], _MM, lines, "mm", room)
-    axes.legend(loc="upper center", ncols=3)
-    axes.set_ylabel("one-step error [mm]")
-    axes.set_title("Held-out one-step error: each demonstration predicted by the others")
+def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: float, room: float) -> None:
+    """Draw mean and largest error per step, the compare tolerance and what the paper reports.
 
-
-def _rotation_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
-    degree = float(np.degrees(1.0))
-    lines = [(task.rotation_tolerance_rad * degree, style.INK, "--", "compare tolerance")]
-    _errors(axes, fitted, fitted.report["one_step_error_per_step_rad"], degree, lines, "°", room=1.6)
-    axes.set_ylabel("one-step error [°]")
-    handles, labels = axes.get_legend_handles_labels()
-    # The rest is in the panel above.
-    axes.legend(handles[-len(lines) :], labels[-len(lines) :], loc="upper center", ncols=2)
-
-
-def _errors(
-    axes: Axes,
-    fitted: Fitted,
-    per_step: dict[str, list[float]],
-    scale: float,
-    lines: Sequence[tuple[float, str, str, str]],
-    unit: str,
-    room: float,
-) -> None:
-    """Draw mean and largest error per step, and horizontal lines (value, colour, style, meaning).
-
-    The vertical axis reaches ``room`` times higher than what is drawn, for the legend.
+    Args:
+        axes: to draw on.
+        fitted: gives the errors.
+        kind: "m" or "rad".
+        scale: of these in what is shown, millimetres or degrees.
+        tolerance: to compare poses [m or rad].
+        room: the vertical axis reaches this many times higher than what is drawn, for the legend.
     """
+    unit = {"m": "mm", "rad": "°"}[kind]
+    lines = [(tolerance * scale, style.INK, "--", "compare tolerance")]
+    paper = fitted.report["sixty_samples"]["paper_max_m"] if kind == "m" else None
+    if paper is not None:
+        lines.append((paper * scale, style.GREY, ":", "largest in the paper"))
+    per_step = fitted.report[f"one_step_error_per_step_{kind}"]
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
-    highest = max(line[0] for line in lines)
     _shade(axes, ~fitted.trust.known, len(mean))
     axes.plot(mean, color=style.BLUE, label="mean over demonstrations")
     axes.plot(largest, color=style.SKY, linewidth=1.0, label="largest")
@@ -124,8 +107,13 @@ def _errors(
         axes.axhline(value, color=colour, linestyle=dashes, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
     axes.set_xlim(0, len(mean))
     # The worst few errors are cut off rather than flattening the rest.
-    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), highest))
+    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), max(line[0] for line in lines)))
     axes.set_xlabel("step of the demonstration")
+    axes.set_ylabel(f"one-step error [{unit}]")
+    handles, labels = axes.get_legend_handles_labels()
+    # In the panel of turns only what the panel above it does not say.
+    first = 0 if kind == "m" else -len(lines)
+    axes.legend(handles[first:], labels[first:], loc="upper center", ncols=3 if kind == "m" else 2)
 
 
 def _shade(axes: Axes, asked: np.ndarray, steps: int) -> None:

@@ -70,11 +70,7 @@ def overlap_turns(path: Array, settings: DemoSettings) -> Array:
     """Return a path (M, 7) whose turns are made during the moves that follow them; those after the last stay.
 
     A turn begins with the move and goes on at the rate of one ``turn_rad`` a ``step_m``, or as fast as it must to
-    end with the move.
-
-    Args:
-        path: poses (N, 7), each a move or a turn from the one before.
-        settings: give that rate.
+    end with the move. Each pose of the given path (N, 7) is a move or a turn from the one before.
     """
     per_turn = settings.keyboard.step_m / settings.keyboard.turn_rad
     result = [path[0]]

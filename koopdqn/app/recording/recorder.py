@@ -31,14 +31,9 @@ _SAME_RAD: Final = 1e-9
 
 
 def target(key: str, here: Array, goal: Array, step: float, turn: float) -> Array:
-    """Return the pose (7,) to which a key of :data:`MOVES` moves the flange.
+    """Return the pose (7,) to which a key of :data:`MOVES` moves the flange from ``here`` (7,).
 
-    Args:
-        key: which one.
-        here: the flange's pose (7,).
-        goal: the task's goal (7,).
-        step: how far a key moves [m]; straight at the goal no farther than the goal.
-        turn: how far a key turns [rad]; toward the goal's orientation no farther than that.
+    It moves by ``step`` [m] or turns by ``turn`` [rad]; toward the goal (7,) no farther than the goal.
     """
     moved = here.copy()
     if key in _AXES:
@@ -83,12 +78,7 @@ _LARGEST_TURN: Final = 0.8
 
 @dataclass(frozen=True)
 class Reply:
-    """What a key did.
-
-    Attributes:
-        text: in one line.
-        changed: whether anything is other than before.
-    """
+    """What a key did, in one line, and whether anything changed."""
 
     text: str
     changed: bool
@@ -120,11 +110,7 @@ class Recorder:
     """Records demonstrations of one task from keys. The same keys make the same demonstrations."""
 
     def __init__(self, workcell: Workcell, settings: DemoSettings, seed: int) -> None:
-        """Begin at the first drawn start.
-
-        Raises:
-            BadInputError: hardly any start can be taken.
-        """
+        """Begin at the first drawn start."""
         self._workcell = workcell
         self._settings = settings
         self._seed = seed
@@ -169,12 +155,7 @@ class Recorder:
         return sample_count(np.array(self.state.path), self._settings) if self.state.moves else 1
 
     def press(self, key: str, *, sure: bool = False) -> Reply:
-        """Apply a key and return what it did.
-
-        Args:
-            key: one character.
-            sure: whether an end away from the goal is kept without asking once more.
-        """
+        """Apply a key and return what it did; ``sure`` keeps an end away from the goal without asking once more."""
         if key in MOVES:
             return self._move(key)
         if key in "+=-_":

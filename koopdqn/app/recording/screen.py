@@ -185,11 +185,7 @@ _WAIT_SECONDS: Final = 0.1
 
 
 def check_keyboard(graphics: Graphics) -> None:
-    """Say before any work whether a person can demonstrate here.
-
-    Raises:
-        BadInputError: there is no terminal, or it cannot show pictures the wanted way.
-    """
+    """Raise BadInputError if there is no terminal here, or it cannot show pictures the wanted way."""
     require_terminal("source=keyboard", "use source=scripted, or koopdqn import demos=FILE for demonstrations of yours")
     check_graphics(graphics, "demo.keyboard.graphics")
 
@@ -198,14 +194,7 @@ class RecordingScreen:
     """Shows a recording on the terminal and takes the keys, until the person finishes."""
 
     def __init__(self, recording: Recording, workcell: Workcell, graphics: Graphics, file: str) -> None:
-        """Prepare.
-
-        Args:
-            recording: what the keys drive.
-            workcell: task, arm and scene.
-            graphics: how pictures are drawn.
-            file: where the demonstrations are, for people.
-        """
+        """Prepare for a recording that keys drive; ``file`` names the demonstrations for people."""
         self._recording = recording
         self._workcell = workcell
         self._graphics = graphics
@@ -215,11 +204,7 @@ class RecordingScreen:
         self._picture: Picture | None = None
 
     def run(self) -> None:
-        """Take keys until the person finishes; whatever happens, the terminal is restored.
-
-        Raises:
-            PauseRequested: the terminal is gone, or the person ended the input (Ctrl-D).
-        """
+        """Take keys until the person finishes or pauses; whatever happens, the terminal is restored."""
         try:
             self._open()
             size = self._device.size()

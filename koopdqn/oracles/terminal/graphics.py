@@ -37,14 +37,9 @@ def resized(image: Image, width: int, height: int) -> Image:
 def block_lines(
     image: Image, width: int, rows: int, marks: Mapping[str, tuple[float, float]], *, colour: bool
 ) -> list[Text]:
-    """Return a picture as lines of characters.
+    """Return a picture (height, width, 3) as ``rows`` lines of ``width`` characters.
 
-    Args:
-        image: (height, width, 3).
-        width: characters in a line.
-        rows: number of lines.
-        marks: characters put on the picture, each at its share (0…1) of width and height.
-        colour: half blocks in colour; else shades of brightness.
+    Half blocks in colour, or else shades of brightness; over them the marks, each at its share (0…1) of width and height.
     """
     small = resized(image, width, 2 * rows)
     lines = _in_colour(small) if colour else _in_shades(small)
@@ -96,10 +91,7 @@ def png(image: Image) -> bytes:
 
 
 def kitty(image: Image, width: int, rows: int) -> str:
-    """Return the sequence that draws a picture at the cursor, scaled to ``width`` by ``rows`` characters.
-
-    Source: the terminal graphics protocol of kitty; the terminal is asked to answer nothing (q=2).
-    """
+    """Return the sequence that draws a picture at the cursor in kitty's protocol, ``width`` by ``rows`` characters large."""
     data = base64.standard_b64encode(png(image)).decode()
     chunks = [data[start : start + _KITTY_CHUNK] for start in range(0, len(data), _KITTY_CHUNK)]
     parts = []
@@ -111,10 +103,7 @@ def kitty(image: Image, width: int, rows: int) -> str:
 
 
 def sixel(image: Image) -> str:
-    """Return the sequence that draws a picture at the cursor, a pixel a pixel.
-
-    Source: DEC's sixel graphics, as the VT340 manual gives them.
-    """
+    """Return the sequence that draws a picture at the cursor in DEC's sixels (VT340 manual), a pixel a pixel."""
     from PIL import Image as Pictures
 
     height, width, _ = image.shape
@@ -154,13 +143,7 @@ _END: Final = "\x1b[?2026l"
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture and where it goes.
-
-    Attributes:
-        image: (height, width, 3).
-        marks: characters put on it where it is made of characters, each at its share (0…1) of width and height.
-        place: the region of the screen.
-    """
+    """A picture (height, width, 3), characters to put on it, each at its share (0…1) of width and height, and its place."""
 
     image: Image
     marks: Mapping[str, tuple[float, float]]
@@ -212,10 +195,8 @@ class Painter(Generic[Drawer]):
     def paint(self, lines_with: Callable[[list[Text], int, int], list[Text]], picture: Picture | None) -> None:
         """Put a whole screen on the terminal: a line a row, and over them the picture where it is made of pixels.
 
-        Args:
-            lines_with: gives the lines, from those of a picture made of characters (none without one, or where it is
-                made of pixels), width and height of the screen.
-            picture: on it, if it is drawn for the screen as large as it is now.
+        ``lines_with`` gives the lines from those of a picture made of characters, width and height. A picture for another
+        place, as before a change of size, is left out.
         """
         width, height = self._device.size()
         if picture is not None and (not picture.place.width or picture.place != self.place()):

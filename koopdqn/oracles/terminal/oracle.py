@@ -34,14 +34,7 @@ class TerminalOracle(Oracle):
     """Asks the person at the terminal. From the first question or sign of learning on it owns the screen."""
 
     def __init__(self, workcell: Workcell, teacher: str, graphics: Graphics, folder: Path) -> None:
-        """Prepare for questions about a workcell.
-
-        Args:
-            workcell: task, arm and scene.
-            teacher: who answers.
-            graphics: how pictures are drawn.
-            folder: the run folder, for saved pictures.
-        """
+        """Prepare for a teacher's answers about a workcell; the run folder takes saved pictures."""
         self._workcell = workcell
         self._teacher = teacher
         self._graphics = graphics

@@ -32,15 +32,9 @@ class WorkcellCamera:
     """Draws a workcell in a scene of its own. Close it."""
 
     def __init__(self, workcell: Workcell, size: tuple[int, int], *, fine: bool = False) -> None:
-        """Prepare for pictures of ``size`` (width, height) [pixels].
+        """Prepare for pictures of ``size`` (width, height) [pixels]; WorkFailedError where OpenGL does not work.
 
-        Args:
-            workcell: task and arm.
-            size: of the pictures.
-            fine: with shadows and smooth edges, which take a few tenths of a second a picture.
-
-        Raises:
-            WorkFailedError: OpenGL does not work here.
+        ``fine`` ones have shadows and smooth edges, which take a few tenths of a second each.
         """
         self.workcell = workcell
         scene = build_scene(workcell.task, workcell.arm)
@@ -62,15 +56,10 @@ class WorkcellCamera:
         points: Mapping[str, tuple[Array, Rgba]],
         ghosts: Sequence[Ghost],
     ) -> tuple[Image, Marks]:
-        """Return the picture (height, width, 3) with the base's axes at the flange, and where things are in it.
+        """Return the picture (height, width, 3) of the arm at joints (6,) [rad], and where things are in it.
 
-        Args:
-            joints: of the arm (6,) [rad].
-            view: from where.
-            here: where the axes begin (3,) [m]; their ends are marked x, y and z.
-            lines: more to draw.
-            points: (3,) [m] and colours of dots by their marks; of those at one place the last is seen.
-            ghosts: the arm elsewhere.
+        The base's axes are drawn from ``here`` (3,) [m], their ends marked x, y and z, and dots at points (3,) [m], under
+        their marks and in their colours; where several are at one place, the last is seen.
         """
         ends = here + _AXIS_M * np.eye(3)
         axes = [Line(np.array([here, end]), colour, _AXIS_SHAFT_M) for end, colour in zip(ends, AXES, strict=True)]
@@ -94,14 +83,7 @@ _SAME_DIRECTION_M: Final = 0.1
 
 @dataclass(frozen=True)
 class Situation:
-    """A picture and where things are in it.
-
-    Attributes:
-        image: (height, width, 3).
-        marks: share (0…1) of width and height where things are: b before, r reached, m the model's, g the goal,
-            x, y and z the ends of the base's axes.
-        times: how many times as far as they are the motions are drawn.
-    """
+    """A picture (height, width, 3), where things are in it, and how many times as far as they are motions are drawn."""
 
     image: Image
     marks: Marks
