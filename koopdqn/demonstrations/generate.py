@@ -53,7 +53,7 @@ def generate(
     seed: int,
     advance: Callable[[int], None] = lambda done: None,
 ) -> Generated:
-    """Return demonstrations of a task, each from its own start with its own smooth shape and pace.
+    """Return demonstrations of a task, each from its own start with its own smooth variation and pace.
 
     Args:
         task: whose demonstrator is followed.
@@ -68,14 +68,15 @@ def generate(
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
-    shapes = _Shapes(task, rng)
+    nominal = _follow(task, task.nominal_start)
+    kept: list[Array] = []
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
         start = task.draw_demonstrated_starts(rng, 1)[0]
         joints, reason = None, reachability.enter(start).reason
         if not reason:
-            shape = shapes.draw()
-            times, poses = _paced(_varied(_follow(task, start), shape), settings, rng)
+            variation, shown = _distinct_variation(task, rng, nominal, kept)
+            times, poses = _paced(_varied(_follow(task, start), variation), settings, rng)
             joints, reason = reachability.follow(poses)
         if joints is None:
             if not redrawn:
@@ -87,7 +88,7 @@ def generate(
                     f" found {sum(redrawn.values())} refused: {redrawn}"
                 )
             continue
-        shapes.keep(shape)
+        kept.append(shown)
         items.append(Demonstration(times, reachability.flange_poses(joints), joints))
         advance(len(items))
     return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
@@ -117,30 +118,18 @@ def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
     return np.asarray(offset * (task.variation_m / np.linalg.norm(offset, axis=1).max()), dtype=float)
 
 
-class _Shapes:
-    """Variations of a set of demonstrations, any two of which differ on the path from the nominal start."""
+def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept: list[Array]) -> tuple[Array, Array]:
+    """Return a variation (M, 3) [m] and the positions (N, 3) [m] it makes of the path from the nominal start.
 
-    def __init__(self, task: Task, rng: np.random.Generator) -> None:
-        self._task, self._rng = task, rng
-        self._path = _follow(task, task.nominal_start)
-        self._kept: list[Array] = []
-
-    def draw(self) -> Array:
-        """Return a new variation (M, 3) [m]; after a thousand that resemble others the next is taken as it is."""
-        for _ in range(1000):
-            shape = smooth_variation(self._task, self._rng)
-            path = self._shown(shape)
-            least = _LEAST_DIFFERENCE * self._task.variation_m
-            if all(hausdorff(path, other) >= least for other in self._kept):
-                return shape
-        return smooth_variation(self._task, self._rng)
-
-    def keep(self, shape: Array) -> None:
-        """Add a variation (M, 3) [m] to the set."""
-        self._kept.append(self._shown(shape))
-
-    def _shown(self, shape: Array) -> Array:
-        return _varied(self._path, shape)[::_COARSER, pose.POSITION]
+    These differ from the ``kept`` ones of the set; after a thousand draws that resemble others the next is taken.
+    """
+    least = _LEAST_DIFFERENCE * task.variation_m
+    for draw in range(1001):
+        variation = smooth_variation(task, rng)
+        shown = _varied(path, variation)[::_COARSER, pose.POSITION]
+        if draw == 1000 or all(hausdorff(shown, other) >= least for other in kept):
+            break
+    return variation, shown
 
 
 def _follow(task: Task, start: Array) -> Array:
@@ -148,10 +137,10 @@ def _follow(task: Task, start: Array) -> Array:
     return task.law(finer=_SUBSTEPS).roll_out(start, limit)
 
 
-def _varied(path: Array, shape: Array) -> Array:
+def _varied(path: Array, variation: Array) -> Array:
     # The variation lies on the person's own path from this start, however gently that comes back to the nominal one.
     arc = arc_lengths(path[:, pose.POSITION])
-    offset = at_arc_lengths(shape, np.linspace(0.0, arc[-1], len(shape)), arc)
+    offset = at_arc_lengths(variation, np.linspace(0.0, arc[-1], len(variation)), arc)
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
 
 

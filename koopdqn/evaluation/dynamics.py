@@ -103,7 +103,7 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
 
 
 def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:
-    """Return the report of executions, maybe none, each of whose steps took ``time_scale`` times ``step_seconds`` [s]."""
+    """Return the report of executions whose steps took ``time_scale`` times ``step_seconds`` [s]; there may be none."""
     touched = [execution for execution in executions if execution.contact_steps]
     errors = [execution.tracking_error_mm for execution in executions]
     tracking = summary(np.array([error.mean() for error in errors])).model_copy(

@@ -1,4 +1,4 @@
-"""What is said to a person about a question: the action's meaning, what it did, what is left to do."""
+"""What is said to a person about a question: what the action did, what is left to do, and the answers."""
 
 from typing import Final
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.oracles.base import Answer, Earlier, Question
-from koopdqn.tasks.actions import ACTIONS, COUNT, legal_actions
+from koopdqn.tasks.actions import COUNT, legal_actions
 from koopdqn.tasks.task import Task
 
 SHORT: Final = (
@@ -23,18 +23,6 @@ SHORT: Final = (
 )
 """Table 1's actions in a word or two, in its order."""
 _NOTHING_M: Final = 1e-6
-
-
-def meaning(action: int) -> str:
-    """Return what an action does, in Table 1's words."""
-    return ACTIONS[action]
-
-
-def place(question: Question) -> str:
-    """Return where a question stands among those of its episode; empty if it is asked at once."""
-    if question.place is None:
-        return ""
-    return f"Question {question.place.number} of about {question.place.expected} in the episode"
 
 
 def moved(question: Question) -> str:

@@ -12,8 +12,8 @@ from rich.text import Text
 from koopdqn import pose
 from koopdqn.app.recording.recorder import Recorder
 from koopdqn.app.recording.session import Recording
-from koopdqn.oracles.terminal.device import Device, Graphics, check_graphics, choose_graphics, require_terminal
-from koopdqn.oracles.terminal.graphics import Painter, Picture
+from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_terminal
+from koopdqn.oracles.terminal.graphics import Picture, Window
 from koopdqn.oracles.terminal.picture import BEFORE, WENT, Marks, WorkcellCamera
 from koopdqn.oracles.terminal.picture import GOAL as GOAL_COLOUR
 from koopdqn.oracles.terminal.screen import BOLD, DIM, GAP, GOAL, beside, framed, picture_lines, region, wrapped
@@ -197,42 +197,32 @@ class RecordingScreen:
         """Prepare for a recording that keys drive; ``file`` names the demonstrations for people."""
         self._recording = recording
         self._workcell = workcell
-        self._graphics = graphics
-        self._device = Device(self._repaint)
-        self._painter: Painter[RecordingCamera] | None = None
+        self._window: Window[RecordingCamera] = Window(graphics, self._repaint)
         self._shown = Shown(recording.recorder, file, "Drive the tool to the goal; ? lists the keys")
         self._picture: Picture | None = None
 
     def run(self) -> None:
         """Take keys until the person finishes or pauses; whatever happens, the terminal is restored."""
+        window = self._window
         try:
-            self._open()
-            size = self._device.size()
+            window.open()
+            # The text first: it can be read while the first picture is drawn.
+            self._repaint()
+            window.start(partial(RecordingCamera, self._workcell))
+            self._shown = replace(self._shown, remark=window.remark)
+            self._show(anew=True)
             while True:
-                keys = self._device.keys(_WAIT_SECONDS)
+                keys = window.device.keys(_WAIT_SECONDS)
                 changed = False
                 for key in keys:
                     if key == "q" and not self._shown.help:
                         return
                     changed |= self._take(key)
-                before, size = size, self._device.size()
-                if keys or size != before:
-                    self._show(anew=changed or size != before)
+                resized = window.resized()
+                if keys or resized:
+                    self._show(anew=changed or resized)
         finally:
-            if self._painter is not None:
-                self._painter.close()
-                self._painter = None
-            self._device.leave()
-
-    def _open(self) -> None:
-        self._device.enter()
-        graphics = choose_graphics(self._graphics, self._device)
-        self._painter = Painter(self._device, graphics)
-        # The text first: it can be read while the first picture is drawn.
-        self._repaint()
-        self._painter.start(partial(RecordingCamera, self._workcell))
-        self._shown = replace(self._shown, remark=self._painter.remark)
-        self._show(anew=True)
+            window.close()
 
     def _take(self, key: str) -> bool:
         """Do what a key says; return whether the picture is another now."""
@@ -244,20 +234,15 @@ class RecordingScreen:
         return reply.changed
 
     def _show(self, *, anew: bool) -> None:
-        if self._painter is None or self._painter.camera is None:
-            self._picture = None
-        else:
-            place = self._painter.place()
-            if place.width and (anew or self._picture is None or self._picture.place != place):
-                self._picture = Picture(*self._painter.camera.picture(self._recording.recorder), place)
+        place, camera = self._window.place(), self._window.camera
+        if camera is not None and place.width and (anew or self._picture is None or self._picture.place != place):
+            self._picture = Picture(*camera.picture(self._recording.recorder), place)
         self._repaint()
 
     def _repaint(self) -> None:
-        painter = self._painter
-        if painter is None:
-            return
+        window = self._window
 
         def lines(picture_lines: list[Text], width: int, height: int) -> list[Text]:
-            return compose(replace(self._shown, picture=picture_lines), width, height, pictures=painter.pictures)
+            return compose(replace(self._shown, picture=picture_lines), width, height, pictures=window.pictures)
 
-        painter.paint(lines, None if self._shown.help else self._picture)
+        window.paint(lines, None if self._shown.help else self._picture)

@@ -26,7 +26,7 @@ _SMALLEST: Final = (20, 8)
 
 
 def require_terminal(what: str, others: str) -> None:
-    """Raise BadInputError unless a person can be asked here; it names the setting ``what`` and ``others`` to use instead."""
+    """Raise BadInputError unless a person can be asked here; it names the setting ``what`` and ``others`` to use."""
     try:
         import termios  # noqa: F401 (absent on Windows)
     except ImportError:
@@ -114,7 +114,7 @@ class Device:
             raise _gone() from error
 
     def keys(self, seconds: float) -> list[str]:
-        """Return the keys pressed, waiting for the first at most ``seconds``; PauseRequested at the end of the input (Ctrl-D)."""
+        """Return the keys pressed, waiting at most ``seconds`` for one; PauseRequested if Ctrl-D ends the input."""
         text = self.raw(seconds)
         if _END_OF_INPUT in text:
             raise PauseRequested("paused: the input ended")
@@ -125,7 +125,7 @@ class Device:
         return bool(select.select([self._in], [], [], seconds)[0])
 
     def raw(self, seconds: float) -> str:
-        """Return all that the terminal sent, waiting at most ``seconds`` for it to begin; PauseRequested if it is gone."""
+        """Return all that the terminal sent, waiting at most ``seconds``; PauseRequested if the terminal is gone."""
         try:
             if not self.waits(seconds):
                 return ""

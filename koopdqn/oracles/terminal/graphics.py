@@ -15,7 +15,7 @@ from rich.text import Text
 
 from koopdqn import console
 from koopdqn.errors import WorkFailedError
-from koopdqn.oracles.terminal.device import Device, Drawn
+from koopdqn.oracles.terminal.device import Device, Drawn, Graphics, choose_graphics
 from koopdqn.oracles.terminal.screen import Region, region
 from koopdqn.robot.render import Image
 
@@ -39,7 +39,7 @@ def block_lines(
 ) -> list[Text]:
     """Return a picture (height, width, 3) as ``rows`` lines of ``width`` characters.
 
-    Half blocks in colour, or else shades of brightness; over them the marks, each at its share (0…1) of width and height.
+    Half blocks in colour, or else shades of brightness; over them marks, each at its share (0…1) of width and height.
     """
     small = resized(image, width, 2 * rows)
     lines = _in_colour(small) if colour else _in_shades(small)
@@ -91,7 +91,7 @@ def png(image: Image) -> bytes:
 
 
 def kitty(image: Image, width: int, rows: int) -> str:
-    """Return the sequence that draws a picture at the cursor in kitty's protocol, ``width`` by ``rows`` characters large."""
+    """Return the sequence that draws a picture at the cursor in kitty's protocol, ``width`` by ``rows`` characters."""
     data = base64.standard_b64encode(png(image)).decode()
     chunks = [data[start : start + _KITTY_CHUNK] for start in range(0, len(data), _KITTY_CHUNK)]
     parts = []
@@ -143,7 +143,7 @@ _END: Final = "\x1b[?2026l"
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture (height, width, 3), characters to put on it, each at its share (0…1) of width and height, and its place."""
+    """A picture (height, width, 3), characters to put on it at shares (0…1) of width and height, and its place."""
 
     image: Image
     marks: Mapping[str, tuple[float, float]]
@@ -160,20 +160,29 @@ class Closable(Protocol):
 Drawer = TypeVar("Drawer", bound=Closable)
 
 
-class Painter(Generic[Drawer]):
-    """Paints screens on a terminal. Close it.
+class Window(Generic[Drawer]):
+    """A screen of its own on the terminal, with text and a picture.
 
     Attributes:
+        device: the terminal.
         camera: draws the pictures, from `start` on; None where there are none.
         remark: why there are none, where something went wrong; the text then stands alone.
     """
 
-    def __init__(self, device: Device, graphics: Drawn) -> None:
-        """Prepare for painting on a device, on a screen of its own, with pictures drawn in the given way."""
-        self._device = device
-        self._graphics = graphics
+    def __init__(self, graphics: Graphics, repaint: Callable[[], None]) -> None:
+        """Prepare; ``repaint`` is called when the process comes back after Ctrl-Z."""
+        self.device = Device(repaint)
         self.camera: Drawer | None = None
         self.remark = ""
+        self._wanted = graphics
+        self._graphics: Drawn = "none"
+        self._size = (0, 0)
+
+    def open(self) -> None:
+        """Show the screen and find out how pictures can be drawn on it."""
+        self.device.enter()
+        self._graphics = choose_graphics(self._wanted, self.device)
+        self._size = self.device.size()
 
     def start(self, camera: Callable[[tuple[int, int]], Drawer]) -> None:
         """Make the camera, given what makes one for pictures of a size (width, height) [pixels]."""
@@ -183,6 +192,11 @@ class Painter(Generic[Drawer]):
             except WorkFailedError as error:
                 self.remark = f"No picture: {error}"
 
+    def resized(self) -> bool:
+        """Return whether the screen has another size than when this was last asked."""
+        before, self._size = self._size, self.device.size()
+        return self._size != before
+
     @property
     def pictures(self) -> bool:
         """Whether the screen keeps room for a picture."""
@@ -190,35 +204,36 @@ class Painter(Generic[Drawer]):
 
     def place(self) -> Region:
         """Return where the picture goes on the screen as large as it is now."""
-        return region(*self._device.size(), pictures=self.pictures)
+        return region(*self.device.size(), pictures=self.pictures)
 
     def paint(self, lines_with: Callable[[list[Text], int, int], list[Text]], picture: Picture | None) -> None:
         """Put a whole screen on the terminal: a line a row, and over them the picture where it is made of pixels.
 
-        ``lines_with`` gives the lines from those of a picture made of characters, width and height. A picture for another
-        place, as before a change of size, is left out.
+        ``lines_with`` gives the lines from those of a picture made of characters, width and height. A picture for
+        another place, as before a change of size, is left out.
         """
-        width, height = self._device.size()
+        width, height = self.device.size()
         if picture is not None and (not picture.place.width or picture.place != self.place()):
             picture = None
         text = self._encoded(lines_with(self._block_lines(picture), width, height), width)
         if picture is not None:
             text += self._pixels(picture)
         clear = KITTY_CLEAR if self._graphics == "kitty" else ""
-        self._device.write(f"{_BEGIN}{clear}{text}{_END}")
+        self.device.write(f"{_BEGIN}{clear}{text}{_END}")
 
     def paint_line(self, line: Text) -> None:
         """Put only the line at the bottom on the terminal."""
-        width, height = self._device.size()
-        self._device.write(self._encoded([line], width, top=height))
+        width, height = self.device.size()
+        self.device.write(self._encoded([line], width, top=height))
 
     def close(self) -> None:
-        """Free the camera and take pictures off the screen."""
+        """Free the camera and restore the terminal."""
         if self.camera is not None:
             self.camera.close()
             self.camera = None
-        if self._graphics == "kitty" and self._device.entered:
-            self._device.write(KITTY_CLEAR)
+        if self._graphics == "kitty" and self.device.entered:
+            self.device.write(KITTY_CLEAR)
+        self.device.leave()
 
     def _block_lines(self, picture: Picture | None) -> list[Text]:
         if picture is None or self._graphics != "blocks":
@@ -234,7 +249,7 @@ class Painter(Generic[Drawer]):
         if self._graphics == "kitty":
             return at + kitty(picture.image, place.width, place.rows)
         if self._graphics == "sixel":
-            across, down = self._device.cell()
+            across, down = self.device.cell()
             return at + sixel(resized(picture.image, place.width * across, place.rows * down))
         return ""
 

@@ -58,8 +58,8 @@ class WorkcellCamera:
     ) -> tuple[Image, Marks]:
         """Return the picture (height, width, 3) of the arm at joints (6,) [rad], and where things are in it.
 
-        The base's axes are drawn from ``here`` (3,) [m], their ends marked x, y and z, and dots at points (3,) [m], under
-        their marks and in their colours; where several are at one place, the last is seen.
+        The base's axes are drawn from ``here`` (3,) [m], their ends marked x, y and z, and dots at points (3,) [m],
+        under their marks and in their colours; where several are at one place, the last is seen.
         """
         ends = here + _AXIS_M * np.eye(3)
         axes = [Line(np.array([here, end]), colour, _AXIS_SHAFT_M) for end, colour in zip(ends, AXES, strict=True)]

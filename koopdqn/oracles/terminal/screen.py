@@ -10,6 +10,7 @@ from rich.text import Text
 
 from koopdqn.oracles import wording
 from koopdqn.oracles.base import Question
+from koopdqn.tasks.actions import ACTIONS
 from koopdqn.tasks.task import Task
 
 ASPECT: Final = (4, 3)
@@ -164,10 +165,11 @@ def _legend(times: float, width: int) -> Text:
 
 def _right(shown: Shown, question: Question, width: int, place: Region, body: int) -> list[Text]:
     room = min(width - place.width - GAP, 2 * _TEXT_WIDTH) if place.width else width
+    asked_at_end = "Question {number} of about {expected} in the episode"
     drawn = f" (drawn {shown.times:.0f}x)" if shown.times else ""
     lines = [
-        *(wrapped(wording.place(question), room) if question.place else []),
-        *wrapped(f"Was this right? The arm {wording.meaning(question.action)}.", room, BOLD),
+        *(wrapped(asked_at_end.format(**vars(question.place)), room) if question.place else []),
+        *wrapped(f"Was this right? The arm {ACTIONS[question.action]}.", room, BOLD),
         _pair("moved", wording.moved(question) + drawn),
         _pair("to go", wording.remaining(question, shown.task)),
         _pair("goal", wording.nearer(question, shown.task)),
