@@ -24,12 +24,12 @@ from small_run import SMALL
 
 from koopdqn.app import cli
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
-from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Earlier, Oracle, Place, Question
 from koopdqn.oracles.file import question_object
 from koopdqn.oracles.journal import read_records
 from koopdqn.oracles.replay import JournalledOracle, ReplayOracle
 from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
@@ -323,7 +323,7 @@ def test_the_longest_question_of_a_batch_fits_a_small_screen(
     )
     text = "\n".join(line.plain for line in compose(Shown(parts.task, "anna", asked), 80, 24, pictures=True))
     assert "Question 12 of about 15 in the episode" in text
-    for other, choice in enumerate(wording.choices(asked, parts.task)):
+    for other, choice in enumerate(screen.choices(asked, parts.task)):
         assert f"{other}{'*' if other == action else ' '}{choice}" in text
 
 

@@ -135,7 +135,7 @@ def _learned_answers(folder: Path) -> int:
 
 
 def _answers(title: str, records: "Records") -> "Table":
-    from koopdqn.oracles.wording import SHORT, verdict
+    from koopdqn.oracles.terminal.screen import SHORT, verdict
 
     def remarks(item: "Record") -> str:
         opinions = (f"{opinion.source}: {verdict(opinion.right)}" for opinion in item.opinions)
@@ -153,7 +153,7 @@ def _answers(title: str, records: "Records") -> "Table":
 
 
 def _verdict(item: "Record") -> str:
-    from koopdqn.oracles.wording import SHORT, verdict
+    from koopdqn.oracles.terminal.screen import SHORT, verdict
 
     better = item.line.better
     return verdict(item.line.right) + (f" (better {SHORT[better]})" if better is not None else "")

@@ -12,8 +12,8 @@ from rich.text import Text
 from koopdqn import console
 from koopdqn.errors import KoopdqnError
 from koopdqn.files import atomic_path
-from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Oracle, PauseRequested, Question
+from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.device import Graphics
 from koopdqn.oracles.terminal.graphics import Picture, Window, png
 from koopdqn.oracles.terminal.picture import Situation, SituationCamera
@@ -132,13 +132,13 @@ class TerminalOracle(Oracle):
         return None
 
     def _acknowledged(self, answer: Answer) -> Answer:
-        self._answered = f"Answered: {wording.told(answer)}"
+        self._answered = f"Answered: {screen.told(answer)}"
         self._say(self._answered)
         return answer
 
     def _better(self, action: int, question: Question, seconds: float) -> Answer | None:
-        if action >= COUNT or not wording.choosable(question, self._workcell.task)[action]:
-            self._say(f"{action}: that action is never right here ({wording.SHORT[action]})")
+        if action >= COUNT or not screen.choosable(question, self._workcell.task)[action]:
+            self._say(f"{action}: that action is never right here ({screen.SHORT[action]})")
             return None
         return self._acknowledged(Answer(action == question.action, self._teacher, seconds, action))
 
@@ -146,7 +146,7 @@ class TerminalOracle(Oracle):
         if not question.earlier:
             self._say("nothing is left to undo")
             return None
-        self._say(f"Withdrawn: {wording.recalled(question.earlier[-1])}; it is asked again when it comes up")
+        self._say(f"Withdrawn: {screen.recalled(question.earlier[-1])}; it is asked again when it comes up")
         return Answer(None, self._teacher, undo=1, again=True)
 
     def _save(self, question: Question) -> None:
