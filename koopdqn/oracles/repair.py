@@ -2,9 +2,10 @@
 
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from statistics import median
 
@@ -12,7 +13,16 @@ from pydantic import Field
 
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
-from koopdqn.oracles.journal import DropLine, EditLine, JournalFile, OpinionLine, Record, Records, read_records
+from koopdqn.oracles.journal import (
+    AnswerLine,
+    DropLine,
+    EditLine,
+    JournalFile,
+    OpinionLine,
+    Record,
+    Records,
+    read_records,
+)
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
 
@@ -83,22 +93,11 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
         raise BadInputError(f"number: must be that of an answer that stands, found {number}, which was withdrawn")
     line = records.items[number].line
     right, better = parse_answer(text, line.action)
-    file = JournalFile(path)
-    try:
-        file.append(
-            EditLine(
-                kind="edit",
-                number=number,
-                right=right,
-                better=better,
-                source=teacher or line.source,
-                learned=number < learned,
-            )
-        )
+    source, late = teacher or line.source, number < learned
+    with closing(JournalFile(path)) as file:
+        file.append(EditLine(kind="edit", number=number, right=right, better=better, source=source, learned=late))
         if drop_later:
             file.append(DropLine(kind="drop", number=number))
-    finally:
-        file.close()
     return read_records(path).items[number]
 
 
@@ -130,14 +129,9 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
     edits = [edit for number, said in found.items() if (edit := _by_majority(first.items[number], said)) is not None]
     with atomic_path(out) as temporary:
         shutil.copyfile(paths[0], temporary)
-        file = JournalFile(temporary)
-        try:
-            for line in [opinion for said in found.values() for opinion in said]:
+        with closing(JournalFile(temporary)) as file:
+            for line in [*chain.from_iterable(found.values()), *edits]:
                 file.append(line)
-            for change in edits:
-                file.append(change)
-        finally:
-            file.close()
     return Merged(len(first.items), sum(map(len, found.values())), len(edits), left_out)
 
 
@@ -178,10 +172,10 @@ def _key(item: Record) -> tuple[object, ...]:
 def summarise(journals: Sequence[Records]) -> FeedbackSummary:
     """Return the figures of some journals together."""
     items = [item for records in journals for item in records.items]
-    standing = [item for records in journals for item in records.standing]
-    by_teacher: dict[str, list[Record]] = defaultdict(list)
+    standing = [item for item in items if not item.withdrawn]
+    by_teacher: dict[str, list[AnswerLine]] = defaultdict(list)
     for item in standing:
-        by_teacher[item.line.source].append(item)
+        by_teacher[item.line.source].append(item.line)
     return FeedbackSummary(
         answers=len(items),
         withdrawn=len(items) - len(standing),
@@ -219,8 +213,7 @@ def _voices(item: Record) -> Iterator[tuple[str, bool | None]]:
     yield item.line.source, item.line.right
 
 
-def _teacher(name: str, items: Iterable[Record]) -> TeacherSummary:
-    lines = [item.line for item in items]
+def _teacher(name: str, lines: Sequence[AnswerLine]) -> TeacherSummary:
     return TeacherSummary(
         name=name,
         answers=len(lines),

@@ -9,7 +9,6 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from koopdqn.intent.reward import RULE, SOURCES
 from koopdqn.plots import style
-from koopdqn.pose import Array
 from koopdqn.rl.history import History
 
 WIDTH, HEIGHT = 1560, 900
@@ -71,15 +70,14 @@ def _rewards(axes: Axes, history: History) -> None:
     rewards = np.array(history.rewards, dtype=float)
     exploring = np.array(history.exploring, dtype=bool)
     number = np.arange(1, len(rewards) + 1)
-    groups = (
+    for chosen, dot, line, label in (
         (exploring, style.PALE, style.GREY, "short, exploring"),
         (~exploring, style.SKY, style.BLUE, "whole"),
-    )
-    for chosen, dot, line, label in groups:
+    ):
         if chosen.any():
             axes.plot(number[chosen], rewards[chosen], linestyle="", marker=".", markersize=5, color=dot, label=label)
         if chosen.sum() >= _WINDOW:
-            mean = _running_mean(rewards[chosen], _WINDOW)
+            mean = np.convolve(rewards[chosen], np.full(_WINDOW, 1.0 / _WINDOW), mode="valid")
             axes.plot(number[chosen][_WINDOW - 1 :], mean, color=line, linewidth=2, label=f"mean of {_WINDOW} of them")
     # Room above for the legend.
     axes.margins(y=0.05)
@@ -89,11 +87,6 @@ def _rewards(axes: Axes, history: History) -> None:
     axes.set_ylabel("reward gathered")
     axes.set_title("Reward of each episode")
     _legend_or_note(axes, bool(len(rewards)), "no episode was finished")
-
-
-def _running_mean(values: Array, window: int) -> Array:
-    sums = np.cumsum(np.concatenate([[0.0], values]))
-    return np.asarray((sums[window:] - sums[:-window]) / window)
 
 
 def _loss(axes: Axes, history: History) -> None:
