@@ -9,8 +9,7 @@ import sys
 
 import koopdqn
 from koopdqn import pose
-from koopdqn.oracles.base import Answer, Question
-from koopdqn.oracles.custom import CustomOracle
+from koopdqn.oracles.base import Answer, CustomOracle, Question
 
 
 class UpOrNearer(CustomOracle):

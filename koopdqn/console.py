@@ -1,16 +1,17 @@
 """The two terminals: results on standard output, messages and progress on standard error."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, RenderableType
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
+    from rich.table import Table
 
 
 @cache
@@ -68,18 +69,6 @@ class Stage:
         if self._bar is not None and self._task is not None:
             self._bar.update(self._task, advance=steps, note=self.note)
 
-    @contextmanager
-    def paused(self) -> Iterator[None]:
-        """Take the bar off the terminal while a person is asked something."""
-        if self._bar is None:
-            yield
-            return
-        self._bar.stop()
-        try:
-            yield
-        finally:
-            self._bar.start()
-
 
 @contextmanager
 def stage(description: str, total: float | None = None, *, bar: bool = True) -> Iterator[Stage]:
@@ -114,6 +103,20 @@ def stage(description: str, total: float | None = None, *, bar: bool = True) -> 
         yield current
     remark = f", {current.note}" if current.note else ""
     note(f"{description}: done in {time.monotonic() - started:.1f} s{remark}")
+
+
+def table(
+    headings: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: Sequence[str], **look: Any
+) -> "Table":
+    """Return a table, columns aligned to the right but for those headed as in ``left``; ``look`` is Rich's own."""
+    from rich.table import Table
+
+    made = Table(**look)
+    for heading in headings:
+        made.add_column(heading, justify="left" if heading in left else "right")
+    for row in rows:
+        made.add_row(*row)
+    return made
 
 
 def _tagged(tag: str, style: str, message: str) -> None:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 
 class ReportModel(BaseModel):
@@ -17,3 +17,10 @@ class ReportModel(BaseModel):
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 """A SHA-256 in hexadecimal digits."""
+
+
+def flaw(error: ValidationError, skip: int = 0) -> str:
+    """Return the first thing that is wrong: its dotted key, less the first ``skip`` parts, and what pydantic says."""
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"][skip:])
+    return f"{key}: {first['msg']}" if key else first["msg"]

@@ -283,9 +283,10 @@ _MOVED: Final = {
     "koopdqn.feedback.imperfect": "koopdqn.oracles.scripted",
     "koopdqn.feedback.replay": "koopdqn.oracles.replay",
     "koopdqn.feedback.scripted": "koopdqn.oracles.scripted",
-    "koopdqn.feedback.terminal.settings": "koopdqn.oracles.terminal.settings",
+    "koopdqn.feedback.terminal.settings": "koopdqn.oracles.terminal",
     "koopdqn.intent.joint": "koopdqn.intent.separate",
     "koopdqn.intent.line": "koopdqn.intent.separate",
+    "koopdqn.oracles.terminal.settings": "koopdqn.oracles.terminal",
 }
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from koopdqn.app.recording.log import KeyLine, SessionLine
+from koopdqn.app.recording.session import KeyLine, SessionLine
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport

@@ -22,7 +22,7 @@ from imitation.inferred import Imitator
 from imitation.primitives import PRIMITIVES, Primitive, learn
 
 from koopdqn import console
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.exit_status import guard
 from koopdqn.app.hydra.compose import composed
@@ -73,12 +73,12 @@ def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ())
     config = composed(prepare("eval", evaluating).overrides)
     configuration = Configuration.load({key: config[key] for key in config if key != "hydra"})
     torch.set_num_threads(configuration.train.threads)
-    demonstrations = stages.demonstrations_of(configuration, run)
+    demonstrations = pipeline.demonstrations_of(configuration, run)
     report = read_json(run / "train.json", "the training report")
     trained = Trained(
         configuration,
-        stages.open_scene(configuration),
-        read_intent(run / stages.INTENT, configuration.task),
+        pipeline.open_scene(configuration),
+        read_intent(run / pipeline.INTENT, configuration.task),
         agent_steps(demonstrations, configuration.task),
         int(report["step_limit"]),
     )
@@ -142,8 +142,7 @@ def _followed(primitive: Primitive, trained: Trained) -> dict[str, Any]:
     """Return what is measured of following a primitive's paths, at the agent's step, from the held-out starts."""
     from koopdqn.evaluation.baselines import straight_path
     from koopdqn.evaluation.evaluate import drawn_starts
-    from koopdqn.evaluation.metrics import measure
-    from koopdqn.evaluation.references import reference_paths
+    from koopdqn.evaluation.metrics import measure, reference_paths
 
     task, reachability, intent = trained.workcell.task, trained.workcell.reachability, trained.intent
     starts, joints, _ = drawn_starts(trained.workcell, trained.config.eval)

@@ -7,7 +7,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.app.hydra.folder import ensure_resolver
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.intent.model import IntentSettings

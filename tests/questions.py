@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from koopdqn.oracles.base import Answer, Oracle, Question
-from koopdqn.oracles.journal import JournalledOracle
+from koopdqn.oracles.replay import JournalledOracle
 
 
 def question(number: int) -> Question:

@@ -23,7 +23,7 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import DivergedError, atomic_path, canonical_json, write_json
 from koopdqn.rl import memory
-from koopdqn.robot.render import prepare_rendering
+from koopdqn.robot import prepare_rendering
 
 STAGE = re.compile(r"[A-Z][a-z ]+( \.\.\.|: done in .*)")
 
@@ -141,7 +141,7 @@ def test_an_error_of_memory_during_work_is_no_fault_of_the_program(
         def fail(*_: object, error: Exception = error) -> None:
             raise error
 
-        monkeypatch.setattr("koopdqn.app.commands.stages.open_scene", fail)
+        monkeypatch.setattr("koopdqn.app.commands.pipeline.open_scene", fail)
         assert "this machine's memory does not suffice" in refused(capsys, "demo", status=1)
 
 

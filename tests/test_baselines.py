@@ -6,18 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.evaluation.baselines import (
-    Greedy,
-    greedy,
-    nearest_demonstration,
-    replay_path,
-    straight_line,
-    straight_path,
-)
+from koopdqn.evaluation.baselines import Greedy, replay_path, straight_path
 from koopdqn.intent.fit import TURNS_PER_STEP
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses
-from koopdqn.tasks.rollout import SUCCESS
+from koopdqn.tasks.rollout import SUCCESS, follow, roll_out
 
 
 @st.composite
@@ -58,8 +51,9 @@ def test_a_straight_path_of_whole_steps_has_as_many() -> None:
 
 
 def test_the_straight_line_never_reaches_the_shelfs_goal() -> None:
-    starts, joints = held_out(6)
-    outcomes = [episode.outcome for episode in straight_line(shelf(), starts, joints)]
+    cell, (starts, joints) = shelf(), held_out(6)
+    paths = [straight_path(start, cell.task.goal, cell.task) for start in starts]
+    outcomes = [episode.outcome for episode in follow(paths, cell.task, cell.reachability, joints)]
     assert outcomes == ["collision"] * 6
 
 
@@ -77,7 +71,8 @@ def test_greedy_reaches_the_goal_from_where_it_was_shown() -> None:
     cell, known = shelf(), taught()
     starts = np.array([trajectory[0] for trajectory in known.trajectories])
     joints = np.array([cell.reachability.enter(start).joints for start in starts])
-    episodes = greedy(cell, known.model, starts, joints, 3 * max(map(len, known.trajectories)))
+    greedy, limit = Greedy(known.model, cell.task), 3 * max(map(len, known.trajectories))
+    episodes = roll_out(greedy, cell.task, cell.reachability, starts, joints, limit)
     assert [episode.outcome for episode in episodes] == [SUCCESS] * len(starts)
 
 
@@ -97,9 +92,9 @@ def test_replaying_from_a_demonstrations_own_start_succeeds_along_it() -> None:
     cell, trajectories = shelf(), taught().trajectories
     starts = np.array([trajectory[0] for trajectory in trajectories])
     joints = np.array([cell.reachability.enter(start).joints for start in starts])
-    for episode, trajectory in zip(
-        nearest_demonstration(cell, trajectories, starts, joints), trajectories, strict=True
-    ):
+    paths = [replay_path(start, trajectories, cell.task) for start in starts]
+    episodes = follow(paths, cell.task, cell.reachability, joints)
+    for episode, trajectory in zip(episodes, trajectories, strict=True):
         assert episode.outcome == SUCCESS
         gaps = np.linalg.norm(episode.poses[:, None, :3] - trajectory[None, :, :3], axis=2).min(axis=1)
         assert gaps.max() < 1e-9

@@ -4,14 +4,14 @@ from parts import load_parts
 
 from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.baselines import straight_line
+from koopdqn.evaluation.baselines import straight_path
 from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.tasks.both_sides import BothSidesTask
 from koopdqn.tasks.reachability import COLLISION
-from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.rollout import SUCCESS, follow, roll_out
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 PARTS = load_parts("task=both_sides")
@@ -51,7 +51,8 @@ def test_the_person_goes_around_the_wall_that_is_nearer_and_the_straight_line_hi
         assert workcell.reachability.follow(path)[1] == ""
         passed = path[np.argmin(path[:, 0]), 1]
         assert (passed < edge[0] + 0.05) if start[1] < MIDDLE_Y else (passed > edge[1] - 0.05)
-    assert {episode.outcome for episode in straight_line(workcell, starts, joints)} == {COLLISION}
+    straight = [straight_path(start, task.goal, task) for start in starts]
+    assert {episode.outcome for episode in follow(straight, task, workcell.reachability, joints)} == {COLLISION}
 
 
 def test_the_other_way_must_end_at_the_goal() -> None:

@@ -6,7 +6,9 @@ import pytest
 
 from koopdqn import pose
 from koopdqn.errors import WorkFailedError
-from koopdqn.robot.render import VARIABLE, Camera, Ghost, Line, Sphere, View, choose_view, render
+from koopdqn.robot import VARIABLE
+from koopdqn.robot.render import Camera, Ghost, Line, Sphere
+from koopdqn.robot.view import View, choose_view
 
 if TYPE_CHECKING:
     from koopdqn.pose import Array
@@ -129,7 +131,7 @@ def test_more_lines_than_there_is_room_for_are_thinned_not_refused(
     ],
 )
 def test_rendering_that_fails_names_the_backend_and_the_doctor(
-    scene: "Scene", view: View, motion: "Array", monkeypatch: pytest.MonkeyPatch, backend: str, told: str
+    scene: "Scene", monkeypatch: pytest.MonkeyPatch, backend: str, told: str
 ) -> None:
     def broken(*_: object, **__: object) -> None:
         raise ImportError("Cannot initialize a EGL device display.\nMore words.")
@@ -137,6 +139,6 @@ def test_rendering_that_fails_names_the_backend_and_the_doctor(
     monkeypatch.setattr(mujoco, "Renderer", broken)
     monkeypatch.setenv(VARIABLE, backend)
     with pytest.raises(WorkFailedError) as caught:
-        render(scene, motion[-1], view, SIZE)
+        Camera(scene, SIZE)
     assert told in str(caught.value)
     assert str(caught.value).endswith("see `koopdqn doctor`")

@@ -12,7 +12,7 @@ from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import straight_path
 from koopdqn.evaluation.dynamics import Execution, execute, summarise
-from koopdqn.evaluation.references import reference_paths
+from koopdqn.evaluation.metrics import reference_paths
 from koopdqn.pose import Array
 from koopdqn.tasks.workcell import Workcell, build_scene
 

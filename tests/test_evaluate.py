@@ -10,12 +10,12 @@ from helpers_shelf import reward_of, shelf, taught
 from pydantic import BaseModel, ValidationError
 from rich.console import Console
 
+from koopdqn.app.commands.eval import table
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation import schema
 from koopdqn.evaluation.baselines import Greedy
-from koopdqn.evaluation.evaluate import Evaluation, evaluate, table, work_units
+from koopdqn.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate, work_units
 from koopdqn.evaluation.schema import EvaluationReport, MethodReport
-from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.pose import Array
 from koopdqn.settings import validate
 from koopdqn.tasks.rollout import SUCCESS, Controller

@@ -8,7 +8,7 @@ from parts import Parts, with_fields
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.generate import generate, wander
+from koopdqn.demonstrations.generate import generate, smooth_variation
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
@@ -60,7 +60,7 @@ def test_samples_come_at_the_wished_rate_and_speed(demonstrations: Demonstration
 
 @given(seed=st.integers(0, 1000))
 def test_a_wander_vanishes_at_both_ends_and_is_as_large_as_said(shelf_task: ShelfTask, seed: int) -> None:
-    offset = wander(shelf_task, np.random.default_rng(seed))
+    offset = smooth_variation(shelf_task, np.random.default_rng(seed))
     assert offset.shape == shelf_task.nominal_path.points.shape
     np.testing.assert_allclose(offset[[0, -1]], 0.0, atol=1e-15)
     assert np.linalg.norm(offset, axis=1).max() == pytest.approx(shelf_task.variation_m, rel=1e-12)

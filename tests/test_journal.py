@@ -10,7 +10,8 @@ from questions import question
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Question
-from koopdqn.oracles.journal import JournalledOracle, read_lines
+from koopdqn.oracles.journal import read_lines
+from koopdqn.oracles.replay import JournalledOracle
 
 
 def thirds(asked: Question) -> bool | None:

@@ -10,14 +10,15 @@ from report_runs import knife_parts
 from koopdqn import pose
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.baselines import floor, straight_path
-from koopdqn.evaluation.references import reference_paths
+from koopdqn.evaluation.baselines import straight_path
+from koopdqn.evaluation.metrics import reference_paths
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.settings import TARGET, validate
-from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.actions import COUNT, nearest_actions
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.rollout import SUCCESS, Episode, follow, roll_out
+from koopdqn.tasks.task import demonstrator_wishes
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 LIMIT = 2000
@@ -195,5 +196,9 @@ def test_they_fail_from_a_hundred_starts(cell: Workcell) -> None:
 
 
 def test_the_actions_nearest_to_the_person_succeed(cell: Workcell) -> None:
-    starts, joints = drawn(cell, 6)
-    assert successes(floor(cell, starts, joints, LIMIT)) == 6
+    task, (starts, joints) = cell.task, drawn(cell, 6)
+
+    def nearest(poses: Array, begun: Array) -> np.ndarray:
+        return nearest_actions(poses, demonstrator_wishes(task, poses, begun), task)
+
+    assert successes(roll_out(nearest, task, cell.reachability, starts, joints, LIMIT)) == 6

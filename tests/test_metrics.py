@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.evaluation.deviation import SAMPLES, deviations, resampled
-from koopdqn.evaluation.metrics import measure, wilson_interval
-from koopdqn.evaluation.references import reference_paths
+from koopdqn.evaluation.metrics import SAMPLES, deviations, measure, reference_paths, resampled, wilson_interval
 from koopdqn.evaluation.schema import MethodReport
 from koopdqn.paths import discrete_frechet
 from koopdqn.pose import Array

@@ -35,7 +35,7 @@ def walked(person: Person, start: tuple[float, float, float], step: float = STEP
 def test_each_comes_to_rest_at_the_goal_from_anywhere_in_the_start_region(task: str, person: str) -> None:
     from koopdqn.app.commands.configuration import Configuration
     from koopdqn.app.hydra.compose import composed
-    from koopdqn.evaluation.references import reference_paths
+    from koopdqn.evaluation.metrics import reference_paths
 
     chosen = Configuration.load(composed([f"task={task}", f"person={person}"])).task
     assert chosen.person.name == person

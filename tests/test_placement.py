@@ -14,8 +14,8 @@ from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.demonstrations.csv import read_csv, write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.derivation import Placement, blocked_at, find_placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.placement import Placement, blocked_at, found_placement
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
@@ -71,7 +71,7 @@ def test_what_cannot_be_followed_is_named_and_a_placement_found() -> None:
     rows = far_away()
     why = [blocked_at(arm(), path) for path in rows]
     assert any("unreachable" in each and "of its way, at [" in each for each in why)
-    placement = found_placement(arm(), rows)
+    placement = find_placement(arm(), rows)
     assert all(blocked_at(arm(), placement.poses(path)) == "" for path in rows)
 
 
@@ -79,7 +79,7 @@ def test_where_nothing_will_do_that_is_said() -> None:
     line = np.tile(arc()[0], (200, 1))
     line[:, 0] = np.linspace(-3.0, 3.0, 200)
     with pytest.raises(BadInputError, match=r"demos\.place=auto: must find a place .* found none among 672"):
-        found_placement(arm(), [line])
+        find_placement(arm(), [line])
 
 
 def test_files_keep_how_they_were_moved(tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ from PIL import Image
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.evaluate import Evaluation
 from koopdqn.evaluation.metrics import wilson_interval
-from koopdqn.plots import demos, evaluation, fit, train
+from koopdqn.plots import demos, evaluation, fit, style, train
 from koopdqn.plots.demos import plot_demonstrations
 from koopdqn.plots.evaluation import plot_evaluation
 from koopdqn.plots.fit import plot_fit
-from koopdqn.plots.scene import draw_motion
-from koopdqn.plots.style import SERIES, picture, series_colours
+from koopdqn.plots.style import SERIES, draw_motion, picture, series_colours
 from koopdqn.plots.train import plot_training
 from koopdqn.rl.history import Check, History
 from koopdqn.tasks.rollout import STEP_LIMIT, SUCCESS, Episode
@@ -149,7 +149,7 @@ def test_fit(tmp_path: Path, fitted: "Fitted", demonstrations: "Demonstrations",
 def test_fit_shades_the_steps_at_which_the_expert_is_asked(
     tmp_path: Path, fitted: "Fitted", demonstrations: "Demonstrations", shelf_task: "ShelfTask"
 ) -> None:
-    shade = np.array(mpl.colors.to_rgb(fit.ASK)) * 255
+    shade = np.array(mpl.colors.to_rgb(style.ASK)) * 255
     shares = []
     for doubt in (0.1, np.inf):
         trust = replace(fitted.trust, doubt=np.full_like(fitted.trust.doubt, doubt))
@@ -187,7 +187,8 @@ def test_evaluation_with_and_without_the_rendered_scene(
 ) -> None:
     first, second = tmp_path / "a.png", tmp_path / "b.png"
     for path in (first, second):
-        plot_evaluation(path, eval_report, episodes, references, demonstrations, shelf_task, image)
+        done = Evaluation(eval_report, episodes, episodes, references)
+        plot_evaluation(path, done, demonstrations, shelf_task, image)
     check_png(first, evaluation.WIDTH, evaluation.HEIGHT)
     assert first.read_bytes() == second.read_bytes()
 
@@ -197,7 +198,8 @@ def test_evaluation_in_which_nothing_moved_and_nothing_is_compared(
 ) -> None:
     path = tmp_path / "eval.png"
     still = [Episode(reference[:1], np.zeros((1, 6)), STEP_LIMIT) for reference in references]
-    plot_evaluation(path, {**method(0, None), "baselines": None}, still, references, demonstrations, shelf_task, None)
+    done = Evaluation({**method(0, None), "baselines": None}, still, still, references)
+    plot_evaluation(path, done, demonstrations, shelf_task, None)
     check_png(path, evaluation.WIDTH, evaluation.HEIGHT)
 
 

@@ -24,12 +24,12 @@ from small_run import SMALL
 
 from koopdqn.app import cli
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
-from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Earlier, Oracle, Place, Question
 from koopdqn.oracles.file import question_object
-from koopdqn.oracles.journal import JournalledOracle, read_records
-from koopdqn.oracles.replay import ReplayOracle
+from koopdqn.oracles.journal import read_records
+from koopdqn.oracles.replay import JournalledOracle, ReplayOracle
 from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
@@ -301,7 +301,6 @@ def test_a_question_says_its_place_to_people_and_programs(parts: Parts, make: Ma
     asked = question_about(OpenAttempt(12, 7, point, point, 8), trainer.feedback.reward, judged, 0, Place(2, 5))
     for place, said in ((Place(2, 5), "Question 2 of about 5 in the episode"), (None, "")):
         each = replace(asked, place=place)
-        assert wording.place(each) == said
         shown = [line.plain for line in compose(Shown(parts.task, "anna", each), 80, 24, pictures=False)]
         assert ("in the episode" in "\n".join(shown)) == bool(said)
         assert said in shown or not said
@@ -327,7 +326,7 @@ def test_the_longest_question_of_a_batch_fits_a_small_screen(
     )
     text = "\n".join(line.plain for line in compose(Shown(parts.task, "anna", asked), 80, 24, pictures=True))
     assert "Question 12 of about 15 in the episode" in text
-    for other, choice in enumerate(wording.choices(asked, parts.task)):
+    for other, choice in enumerate(screen.choices(asked, parts.task)):
         assert f"{other}{'*' if other == action else ' '}{choice}" in text
 
 

@@ -17,16 +17,15 @@ from small_run import SMALL
 from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.recording.log import LOG
-from koopdqn.app.recording.playing import overlapped, played, rounded, seconds_along
-from koopdqn.app.recording.recorder import MOVES, Recorder, Recording, State, target
+from koopdqn.app.recording import DemoSettings
+from koopdqn.app.recording.playing import overlap_turns, play, round_corners, seconds_along
+from koopdqn.app.recording.recorder import MOVES, Recorder, State, target
 from koopdqn.app.recording.screen import HELP, Shown, compose
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording.session import LOG, Recording
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import fit
-from koopdqn.oracles.terminal.screen import region
 from koopdqn.pose import POSITION, QUATERNION
 from koopdqn.robot.ur import URArm
 from koopdqn.settings import load_settings
@@ -221,14 +220,14 @@ def test_steps_have_limits_and_a_path_needs_one(recorder: Recorder, small: Parts
 def test_rounding_keeps_the_ends_and_stays_within_its_window(seed: int, around: int, count: int) -> None:
     steps = np.random.default_rng(seed).normal(size=(count, 3))
     poses = pose.make(np.cumsum(steps, axis=0), [1.0, 0.0, 0.0, 0.0])
-    result = rounded(poses, around)
+    result = round_corners(poses, around)
     assert len(result) == len(poses) + 2 * around
     assert np.array_equal(result[[0, -1]], poses[[0, -1]])
     padded = np.concatenate([np.repeat(poses[:1], around, axis=0), poses, np.repeat(poses[-1:], around, axis=0)])
     furthest = around * np.linalg.norm(steps, axis=1).max()
     assert np.linalg.norm((result - padded)[:, POSITION], axis=1).max() <= furthest + 1e-9
     straight = pose.make(np.linspace(0, 1, count)[:, None] * np.ones(3), [1.0, 0.0, 0.0, 0.0])
-    assert np.allclose(np.diff(rounded(straight, around)[:, :3] @ [1, -1, 0]), 0.0), "a straight line stays one"
+    assert np.allclose(np.diff(round_corners(straight, around)[:, :3] @ [1, -1, 0]), 0.0), "a straight line stays one"
 
 
 @given(keys=st.text("wsadrfijo", min_size=1, max_size=20), scale=st.floats(0.1, 4))
@@ -237,7 +236,7 @@ def test_turns_are_made_during_the_move_that_follows_them(small: Parts, keys: st
     keyboard = small.demo.keyboard
     for key in keys:
         path.append(target(key, path[-1], small.task.goal, scale * keyboard.step_m, keyboard.turn_rad))
-    found = overlapped(np.array(path), small.demo)
+    found = overlap_turns(np.array(path), small.demo)
     assert pose.rotation_distance(found[[0, -1]], np.array(path)[[0, -1]]).max() < 1e-7
     # Wherever a move ends, the tool is turned as it was when the key was pressed.
     for before, after in pairwise(path):
@@ -262,7 +261,7 @@ def test_the_speed_is_the_set_one_however_long_a_person_thinks(
     demo: DemoSettings = small.demo.model_copy(
         update={"keyboard": small.demo.keyboard.model_copy(update={"rounding_m": rounding})}
     )
-    item, reason = played(path, joints, demo, cell.reachability)
+    item, reason = play(path, joints, demo, cell.reachability)
     assert not reason
     interval = np.diff(item.times)
     np.testing.assert_allclose(interval[interval > 0.5 * demo.sample_seconds], demo.sample_seconds, atol=1e-9)
@@ -285,7 +284,7 @@ def test_a_path_that_rounding_would_take_through_the_scene_is_rounded_less(workc
         recorder.press("a")
     path, joints = np.array(recorder.state.path), recorder.state.joints[0]
     wide = parts.demo.model_copy(update={"keyboard": parts.demo.keyboard.model_copy(update={"rounding_m": 0.1})})
-    item, reason = played(path, joints, wide, workcell.reachability)
+    item, reason = play(path, joints, wide, workcell.reachability)
     assert reason.startswith("collision: ")
     assert item.joints is not None
     assert not any(workcell.scene.contact(each) for each in item.joints)
@@ -406,8 +405,8 @@ def test_a_screen_fits_its_terminal(
     cell: Workcell, small: Parts, width: int, height: int, pictures: bool, helps: bool
 ) -> None:
     recorder = Recorder(cell, small.demo, 0)
-    place = region(width, height, pictures=pictures)
-    lines = compose(Shown(recorder, "runs/demos.hdf5", "a status " * 40, help=helps), place, width, height)
+    content = Shown(recorder, "runs/demos.hdf5", "a status " * 40, help=helps)
+    lines = compose(content, width, height, pictures=pictures)
     assert len(lines) == height
     assert all(line.cell_len <= width for line in lines)
     assert lines[-1].cell_len < width, "a full last line would scroll"
@@ -415,8 +414,7 @@ def test_a_screen_fits_its_terminal(
 
 def test_a_screen_says_where_tool_and_goal_are(recorder: Recorder, small: Parts) -> None:
     press(recorder, "rgj")
-    place = region(80, 24, pictures=True)
-    lines = [line.plain for line in compose(Shown(recorder, "f", "told"), place, 80, 24)]
+    lines = [line.plain for line in compose(Shown(recorder, "f", "told"), 80, 24, pictures=True)]
     text = " ".join(" ".join(lines).split())
     away = 1e3 * float(pose.position_distance(recorder.here, small.task.goal))
     assert f"{away:.1f} mm and 5.0° away" in text
@@ -427,7 +425,8 @@ def test_a_screen_says_where_tool_and_goal_are(recorder: Recorder, small: Parts)
     for word in ("10 mm, 5°", "3 moves", "0 kept", "w s +x -x", "i k about tool x", "e end", "q finish", "? help"):
         assert word in text, word
     assert lines[-1] == "told"
-    helping = "\n".join(line.plain for line in compose(Shown(recorder, "f", "", help=True), place, 80, 24))
+    content = Shown(recorder, "f", "", help=True)
+    helping = "\n".join(line.plain for line in compose(content, 80, 24, pictures=True))
     assert all(line in helping for line in HELP)
 
 

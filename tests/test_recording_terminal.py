@@ -14,8 +14,8 @@ from small_run import SMALL
 from terminal_session import Session, error_without_terminal
 
 from koopdqn.app import cli
-from koopdqn.app.recording.log import LOG
 from koopdqn.app.recording.recorder import Recorder
+from koopdqn.app.recording.session import LOG
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.tasks.workcell import open_workcell
 

@@ -11,12 +11,12 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.preprocess import (
     MOST_SAMPLES,
     STILL_M,
+    align_goal,
     check_orientation,
     check_position,
     goal_of,
-    smoothed,
-    to_goal,
-    trimmed,
+    smooth,
+    trim_idle,
 )
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, to_step
@@ -25,7 +25,7 @@ from koopdqn.paths import arc_lengths, to_step
 @settings(max_examples=20)
 @given(idle=st.integers(0, 300), noise=st.sampled_from([0.0, 1e-5, 1e-4]))
 def test_idle_ends_are_cut_off_and_nothing_else(idle: int, noise: float) -> None:
-    found = trimmed(recorded(arc(), idle=idle, noise=noise))
+    found = trim_idle(recorded(arc(), idle=idle, noise=noise))
     waited = idle * SECONDS / 200
     # The first millimetre is as good as still.
     assert waited - 1e-9 <= found.before <= waited + 0.05
@@ -37,22 +37,22 @@ def test_idle_ends_are_cut_off_and_nothing_else(idle: int, noise: float) -> None
 def test_a_turn_in_place_is_no_idling() -> None:
     turns = np.linspace(0.0, 1.0, 50)[:, None] * [0.0, 0.0, 1.0]
     item = Demonstration(0.1 * np.arange(50.0), pose.make([0.4, 0.0, 0.3], pose.from_rotation_vector(turns)))
-    assert len(trimmed(item).item) >= 49
+    assert len(trim_idle(item).item) >= 49
 
 
 def test_what_never_moves_is_refused() -> None:
     with pytest.raises(BadInputError, match="standing still"):
-        trimmed(recorded(np.repeat(arc()[:1], 50, axis=0)))
+        trim_idle(recorded(np.repeat(arc()[:1], 50, axis=0)))
 
 
 def test_a_clean_recording_stays_as_it_is() -> None:
-    assert np.abs(smoothed(recorded(arc())).poses - arc()).max() < 1e-5
+    assert np.abs(smooth(recorded(arc())).poses - arc()).max() < 1e-5
 
 
 @settings(max_examples=10)
 @given(noise=st.sampled_from([2e-4, 1e-3]), seed=st.integers(0, 20))
 def test_smoothing_takes_most_of_the_noise_out(noise: float, seed: int) -> None:
-    even = smoothed(recorded(arc(), noise=noise, seed=seed))
+    even = smooth(recorded(arc(), noise=noise, seed=seed))
     error = np.linalg.norm(even.poses[:, :3] - arc()[:, :3], axis=1)
     assert np.sqrt((error**2).mean()) < 0.5 * np.sqrt(3) * noise
 
@@ -67,12 +67,12 @@ def test_steps_do_not_follow_the_noise() -> None:
 
     rough = recorded(arc(count=400), noise=5e-4)
     assert largest_bend(rough.poses) > 30.0
-    assert largest_bend(smoothed(rough).poses) < 12.0
+    assert largest_bend(smooth(rough).poses) < 12.0
 
 
 def test_a_long_recording_is_averaged_first() -> None:
     count = 5 * MOST_SAMPLES
-    even = smoothed(recorded(arc(count=count), noise=1e-3))
+    even = smooth(recorded(arc(count=count), noise=1e-3))
     assert len(even) <= MOST_SAMPLES + 2
     there = np.stack(
         [np.interp(even.times, np.arange(count) * SECONDS / count, arc(count=count)[:, i]) for i in (1, 2)]
@@ -85,7 +85,7 @@ def test_a_demonstration_bent_to_the_goal_ends_there_and_begins_as_it_did(offset
     item = recorded(arc())
     rotated = pose.multiply(pose.from_rotation_vector([turn, 0.0, 0.0]), HORIZONTAL)
     goal = pose.make(item.poses[-1, :3] + offset, rotated)
-    bent = to_goal(item, goal)
+    bent = align_goal(item, goal)
     assert pose.position_distance(bent.poses[-1], goal) == 0.0
     assert pose.rotation_distance(bent.poses[-1], goal) < 1e-12
     np.testing.assert_array_equal(bent.poses[: len(item) // 2], item.poses[: len(item) // 2])

@@ -8,8 +8,8 @@ from questions import Reader, question, written
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer
-from koopdqn.oracles.journal import JournalledOracle, read_lines, read_records
-from koopdqn.oracles.replay import ReplayOracle
+from koopdqn.oracles.journal import read_lines, read_records
+from koopdqn.oracles.replay import JournalledOracle, ReplayOracle
 
 YES, NO, SKIP = (Answer(right, "anna", 0.5) for right in (True, False, None))
 

@@ -1,9 +1,11 @@
 import os
+import subprocess
+import sys
 
 import pytest
 
 from koopdqn.errors import BadInputError
-from koopdqn.robot.render import VARIABLE, prepare_rendering
+from koopdqn.robot import VARIABLE, prepare_rendering
 
 
 @pytest.fixture
@@ -45,3 +47,8 @@ def test_a_backend_that_is_asked_for_is_kept_or_refused(monkeypatch: pytest.Monk
     assert os.environ[VARIABLE] == "osmesa"
     with pytest.raises(BadInputError, match=r"MUJOCO_GL must.*found 'osmesa' without libOSMesa.*koopdqn doctor"):
         prepare_rendering(lambda library: False)
+
+
+def test_the_backend_is_chosen_before_mujoco_is_imported() -> None:
+    code = "import sys, koopdqn.robot; assert 'mujoco' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -10,8 +10,9 @@ from koopdqn.app import cli
 from koopdqn.errors import BadInputError
 from koopdqn.oracles import repair
 from koopdqn.oracles.base import Answer
-from koopdqn.oracles.journal import JournalledOracle, read_lines, read_records
-from koopdqn.oracles.repair import summarised
+from koopdqn.oracles.journal import read_lines, read_records
+from koopdqn.oracles.repair import summarise
+from koopdqn.oracles.replay import JournalledOracle
 
 
 def journal(folder: Path, teacher: str, rights: list[bool | None]) -> Path:
@@ -40,13 +41,13 @@ def test_an_edit_is_a_new_line_and_the_run_is_told_the_new_answer(tmp_path: Path
     [("right", True, None), ("N", False, None), ("skip", None, None), ("0", True, 0), ("9", False, 9)],
 )
 def test_what_an_answer_may_be(text: str, right: bool | None, better: int | None) -> None:
-    assert repair.parsed_answer(text, 0) == (right, better)
+    assert repair.parse_answer(text, 0) == (right, better)
 
 
 @pytest.mark.parametrize("text", ["", "10", "maybe", "²", "-1"])
 def test_what_no_answer_is(text: str) -> None:
     with pytest.raises(BadInputError, match="must be right, wrong, skip or a better action from 0 to 9"):
-        repair.parsed_answer(text, 0)
+        repair.parse_answer(text, 0)
 
 
 def test_a_run_that_learned_from_an_answer_refuses_its_edit_and_a_new_one_takes_it(tmp_path: Path) -> None:
@@ -102,13 +103,13 @@ def test_agreement_counts_what_both_answered(tmp_path: Path) -> None:
         journal(tmp_path, "anna", [True, True, False, None]),
         journal(tmp_path, "bert", [True, False, False, True]),
     ]
-    summary = summarised([read_records(path) for path in paths])
+    summary = summarise([read_records(path) for path in paths])
     (pair,) = summary.agreement
     assert (pair.one, pair.other, pair.questions, pair.same) == ("anna", "bert", 3, 2)
     assert [(item.name, item.answers, item.skipped) for item in summary.teachers] == [("anna", 4, 1), ("bert", 4, 0)]
     merged = tmp_path / "merged.jsonl"
     repair.merge(paths, merged)
-    assert summarised([read_records(merged)]).agreement == summary.agreement
+    assert summarise([read_records(merged)]).agreement == summary.agreement
 
 
 def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

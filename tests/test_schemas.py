@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from safetensors import safe_open
 
 from koopdqn.app import cli
-from koopdqn.app.recording import log as recording_schema
+from koopdqn.app.recording import session as recording_schema
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent import schema as intent_schema
 from koopdqn.intent.schema import FitReport

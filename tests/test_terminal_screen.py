@@ -8,8 +8,8 @@ from parts import Parts
 from report_runs import knife_parts
 from rich.text import Text
 
-from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Earlier, Question
+from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.picture import SituationCamera, magnification, magnified
 from koopdqn.oracles.terminal.screen import HELP, Shown, compose, region
 from koopdqn.pose import POSITION, QUATERNION, position_distance, rotation_distance
@@ -66,7 +66,7 @@ def test_a_screen_says_all_that_an_answer_needs(parts: Parts, asked: Question, w
         assert word in text, word
     for action in range(COUNT):
         mark = "*" if action == asked.action else " "
-        assert f"{action}{mark}{wording.choices(asked, parts.task)[action]}" in text
+        assert f"{action}{mark}{screen.choices(asked, parts.task)[action]}" in text
     assert lines[-1] == "Answered: wrong"
 
 
@@ -76,20 +76,20 @@ def test_the_help_is_whole_on_a_small_screen(parts: Parts, asked: Question) -> N
 
 
 def test_only_actions_that_can_be_right_can_be_named(shelf_task: ShelfTask, asked: Question) -> None:
-    assert wording.choosable(asked, shelf_task).tolist() == [i not in (0, 2, 3) for i in range(COUNT)]
+    assert screen.choosable(asked, shelf_task).tolist() == [i not in (0, 2, 3) for i in range(COUNT)]
     still = replace(asked, candidates=np.repeat(asked.pose[None], COUNT, axis=0))
-    assert not wording.choosable(still, shelf_task).any()
+    assert not screen.choosable(still, shelf_task).any()
 
 
 def test_the_amounts_are_those_of_the_poses(shelf_task: ShelfTask, asked: Question) -> None:
     there = position_distance(asked.reached, shelf_task.goal)
-    assert wording.moved(asked).split() == ["2.1", "mm", "0.0°"]
-    assert wording.remaining(asked, shelf_task).split()[0] == f"{1e3 * there:.1f}"
+    assert screen.moved(asked).split() == ["2.1", "mm", "0.0°"]
+    assert screen.remaining(asked, shelf_task).split()[0] == f"{1e3 * there:.1f}"
     gain = 1e3 * (position_distance(asked.pose, shelf_task.goal) - there)
-    assert wording.nearer(asked, shelf_task) == f"{abs(gain):.1f} mm {'nearer' if gain >= 0 else 'farther'}"
+    assert screen.nearer(asked, shelf_task) == f"{abs(gain):.1f} mm {'nearer' if gain >= 0 else 'farther'}"
     same = replace(asked, predicted=asked.reached)
-    assert wording.opinion(same) == "2.1 mm, 0° off this motion"
-    assert wording.told(Answer(False, "", better=8)) == "wrong: better +z"
+    assert screen.opinion(same) == "2.1 mm, 0° off this motion"
+    assert screen.told(Answer(False, "", better=8)) == "wrong: better +z"
 
 
 @settings(max_examples=30)
@@ -128,7 +128,7 @@ def test_the_two_columns_of_keys_stand_apart_and_whole(asked: Question, width: i
     start = task.nominal_start
     there = replace(asked, pose=start, candidates=reached_poses(start[None], task)[0])
     lines = [line.plain for line in compose(Shown(task, "anna", there), width, height, pictures=True)]
-    texts = wording.choices(there, task)
+    texts = screen.choices(there, task)
     for action in range(COUNT // 2):
         (row,) = [line for line in lines if f"{action} {texts[action]}  " in line]
         assert row.endswith(f"{action + COUNT // 2}{'*' if action + 5 == asked.action else ' '}{texts[action + 5]}")

@@ -11,7 +11,8 @@ from parts import Clerk, Parts
 
 from koopdqn.intent.reward import ASKED, TRUSTED, IntentReward
 from koopdqn.oracles.base import Answer, Oracle, Question
-from koopdqn.oracles.journal import JournalledOracle, read_lines
+from koopdqn.oracles.journal import read_lines
+from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.oracles.scripted import ScriptedOracle, demonstrator_agrees
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer

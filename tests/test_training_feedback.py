@@ -20,7 +20,7 @@ from parts import Clerk, Parts
 from koopdqn import pose
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Answer, Oracle, Question
-from koopdqn.oracles.journal import JournalledOracle
+from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.oracles.scripted import ImperfectOracle, ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer

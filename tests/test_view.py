@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.robot.render import View, choose_view, fitted_view
+from koopdqn.robot.view import View, choose_view, fitted_view
 
 if TYPE_CHECKING:
     from koopdqn.pose import Array

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed, explain
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -62,7 +62,7 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
         if told is None:
             raise
         raise told from error
-    return stages.with_task(config, Path(), keep=False)
+    return pipeline.with_task(config, Path(), keep=False)
 
 
 def open_workcell(config: Configuration) -> Workcell:
@@ -82,7 +82,7 @@ def generate(config: Configuration) -> Demonstrations:
     """
     if config.derived is not None:
         return config.derived.training
-    stages.check_scripted(config)
+    pipeline.check_scripted(config)
     seed = config.inputs.seed
     return generate_demonstrations(config.task, open_workcell(config).reachability, config.demo, seed).demonstrations
 
@@ -149,7 +149,7 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
         agent_steps(demonstrations, config.task),
         config.eval,
         trained.step_limit,
-        held_out=stages.held_out_of(config),
+        held_out=pipeline.held_out_of(config),
     )
 
 

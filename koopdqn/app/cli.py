@@ -4,15 +4,15 @@ import contextlib
 import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from inspect import signature
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
 from koopdqn import __version__, console
 from koopdqn.app.exit_status import guard
-from koopdqn.app.feedback_cli import feedback_app
+from koopdqn.app.feedback import feedback_app
 from koopdqn.errors import BadInputError
 
 _COMMANDS = {
@@ -96,63 +96,53 @@ def _complete(ctx: typer.Context, incomplete: str) -> list[str]:
     return complete(ctx.params.get("overrides") or [], incomplete, ctx.params.get("config_dir"))
 
 
-_HYDRA = "Hydra"
+_HYDRA: Final = "Hydra"
 
-Overrides = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="OVERRIDE",
-        help="Config overrides: [cyan]group=option[/] or [cyan]key=value[/]; groups are task, intent, trust, oracle, "
-        "agent, robot, preset. [cyan]out=DIR[/] names the run folder, [cyan]seed=N[/] fixes everything.",
-        autocompletion=_complete,
-        show_default=False,
-    ),
-]
+
+def _parameter(name: str, kind: object, default: object, declared: object) -> Parameter:
+    return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, declared])
+
+
+def _hydra(flag: str, short: str | None, kind: object, text: str, metavar: str | None = None) -> Parameter:
+    """Return an option that is Hydra's own; it is passed on."""
+    names = [flag, short] if short else [flag]
+    option = typer.Option(*names, metavar=metavar, help=text, rich_help_panel=_HYDRA)
+    return _parameter(flag.removeprefix("--").replace("-", "_"), kind, False if kind is bool else None, option)
+
+
+_OVERRIDES: Final = typer.Argument(
+    metavar="OVERRIDE",
+    help="Config overrides: [cyan]group=option[/] or [cyan]key=value[/]; groups are task, intent, trust, oracle, "
+    "agent, robot, preset. [cyan]out=DIR[/] names the run folder, [cyan]seed=N[/] fixes everything.",
+    autocompletion=_complete,
+    show_default=False,
+)
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON to standard output and nothing else.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
-MultiRun = Annotated[
-    bool, typer.Option("--multirun", "-m", help="Sweep over comma-separated values.", rich_help_panel=_HYDRA)
-]
-Cfg = Annotated[
-    Shown | None,
-    typer.Option("--cfg", "-c", help="Print the composed config and run nothing.", rich_help_panel=_HYDRA),
-]
-Resolve = Annotated[
-    bool, typer.Option("--resolve", help="With --cfg: resolve ${…} before printing.", rich_help_panel=_HYDRA)
-]
-Package = Annotated[
-    str | None,
-    typer.Option("--package", "-p", metavar="KEY", help="With --cfg: only this key.", rich_help_panel=_HYDRA),
-]
-InfoOption = Annotated[
-    Info | None,
-    typer.Option("--info", "-i", help="Print how the config is found and composed.", rich_help_panel=_HYDRA),
-]
-ConfigDir = Annotated[
-    str | None,
-    typer.Option("--config-dir", "-cd", metavar="DIR", help="Add a config folder of your own.", rich_help_panel=_HYDRA),
-]
-ConfigPath = Annotated[
-    str | None,
-    typer.Option("--config-path", "-cp", metavar="DIR", help="Use this config folder instead.", rich_help_panel=_HYDRA),
-]
-ConfigName = Annotated[
-    str | None,
-    typer.Option(
-        "--config-name", "-cn", metavar="NAME", help="Use this primary config instead.", rich_help_panel=_HYDRA
-    ),
-]
-Make = Annotated[
-    bool, typer.Option("--make", help="Train and evaluate what is missing first; the same as report.make=true.")
-]
-HydraHelp = Annotated[bool, typer.Option("--hydra-help", help="Print Hydra's own help.", rich_help_panel=_HYDRA)]
-RunFlag = Annotated[bool, typer.Option("--run", "-r", help="Run one job (the default).", rich_help_panel=_HYDRA)]
-ShellCompletion = Annotated[
+_OWN_OPTIONS: Final = (
+    _parameter("overrides", list[str] | None, None, _OVERRIDES),
+    Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=AsJson),
+    Parameter("debug", Parameter.KEYWORD_ONLY, default=False, annotation=Debug),
+)
+_MAKE_OPTION: Final = _parameter(
+    "make",
     bool,
-    typer.Option(
-        "--shell-completion", "-sc", help="Hydra's own shell completion (install=bash).", rich_help_panel=_HYDRA
-    ),
-]
+    False,
+    typer.Option("--make", help="Train and evaluate what is missing first; the same as report.make=true."),
+)
+_HYDRA_OPTIONS: Final = (
+    _hydra("--multirun", "-m", bool, "Sweep over comma-separated values."),
+    _hydra("--run", "-r", bool, "Run one job (the default)."),
+    _hydra("--cfg", "-c", Shown | None, "Print the composed config and run nothing."),
+    _hydra("--resolve", None, bool, "With --cfg: resolve ${…} before printing."),
+    _hydra("--package", "-p", str | None, "With --cfg: only this key.", "KEY"),
+    _hydra("--info", "-i", Info | None, "Print how the config is found and composed."),
+    _hydra("--config-dir", "-cd", str | None, "Add a config folder of your own.", "DIR"),
+    _hydra("--config-path", "-cp", str | None, "Use this config folder instead.", "DIR"),
+    _hydra("--config-name", "-cn", str | None, "Use this primary config instead.", "NAME"),
+    _hydra("--hydra-help", None, bool, "Print Hydra's own help."),
+    _hydra("--shell-completion", "-sc", bool, "Hydra's own shell completion (install=bash)."),
+)
 
 
 @app.callback(invoke_without_command=True)
@@ -168,49 +158,13 @@ def _root(
 
 
 def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
-    def command(
-        overrides: Overrides = None,
-        as_json: AsJson = False,
-        debug: Debug = False,
-        make: Make = False,
-        multirun: MultiRun = False,
-        run: RunFlag = False,
-        cfg: Cfg = None,
-        resolve: Resolve = False,
-        package: Package = None,
-        info: InfoOption = None,
-        config_dir: ConfigDir = None,
-        config_path: ConfigPath = None,
-        config_name: ConfigName = None,
-        hydra_help: HydraHelp = False,
-        shell_completion: ShellCompletion = False,
-    ) -> int:
-        def work() -> int:
-            if cfg is None and (package is not None or resolve):
-                raise BadInputError("--package and --resolve: need --cfg, found none")
-            options = {
-                "--multirun": multirun,
-                "--run": run,
-                "--resolve": resolve,
-                "--hydra-help": hydra_help,
-                "--shell-completion": shell_completion,
-                "--cfg": cfg,
-                "--package": package,
-                "--info": info,
-                "--config-dir": config_dir,
-                # Hydra would take a relative path as relative to the module that calls it
-                "--config-path": config_path and str(Path(config_path).absolute()),
-                "--config-name": config_name,
-            }
-            given = [*(overrides or []), *(["report.make=true"] if make else [])]
-            return _compose_and_run(name, options, given, as_json=as_json)
+    def command(*, overrides: list[str] | None, as_json: bool, debug: bool, make: bool = False, **hydra: Any) -> int:
+        given = [*(overrides or []), *(["report.make=true"] if make else [])]
+        return guard(lambda: _compose_and_run(name, hydra, given, as_json=as_json), debug=debug)
 
-        return guard(work, debug=debug)
-
-    if name != "report":
-        kept = [item for item in signature(command).parameters.values() if item.name != "make"]
-        # Typer makes the options from this, so that no other command has one that would do nothing.
-        command.__signature__ = signature(command).replace(parameters=kept)  # type: ignore[attr-defined]  # as in PEP 362
+    # Typer makes the options from this; no command has one that would do nothing.
+    parameters = [*_OWN_OPTIONS, *([_MAKE_OPTION] if name == "report" else []), *_HYDRA_OPTIONS]
+    command.__signature__ = Signature(parameters, return_annotation=int)  # type: ignore[attr-defined]  # as in PEP 362
     shown = "\n\n".join(f"[bold]{example}[/]" for example in examples)
     app.command(name, short_help=summary, help=summary, epilog=f"Examples\n\n{shown}")(command)
 
@@ -222,30 +176,34 @@ for _name, (_summary, _examples) in _COMMANDS.items():
 @app.command("doctor")
 def _doctor(as_json: AsJson = False, debug: Debug = False) -> int:
     """Say what of this machine works, and how to mend the rest."""
+    from koopdqn.app import doctor
 
-    def work() -> int:
-        from koopdqn.app import doctor
-
-        return doctor.run(as_json=as_json)
-
-    return guard(work, debug=debug)
+    return guard(lambda: doctor.run(as_json=as_json), debug=debug)
 
 
 app.add_typer(feedback_app, name="feedback")
 
 
-def _compose_and_run(name: str, options: Mapping[str, object], overrides: Sequence[str], *, as_json: bool) -> int:
+def _compose_and_run(name: str, hydra: Mapping[str, Any], overrides: Sequence[str], *, as_json: bool) -> int:
     from koopdqn.app.commands import run
     from koopdqn.app.hydra import application
     from koopdqn.app.hydra.overrides import prepare
 
-    prepared = prepare(name, overrides, multirun=bool(options["--multirun"]))
-    given = [option if value is True else f"{option}={value}" for option, value in options.items() if value]
-    if any(options[option] for option in ("--cfg", "--info", "--hydra-help", "--shell-completion")):
+    if hydra["cfg"] is None and (hydra["package"] is not None or hydra["resolve"]):
+        raise BadInputError("--package and --resolve: need --cfg, found none")
+    prepared = prepare(name, overrides, multirun=hydra["multirun"])
+    # Hydra would take a relative path as relative to the module that calls it.
+    path = hydra["config_path"] and str(Path(hydra["config_path"]).absolute())
+    given = []
+    for key, value in {**hydra, "config_path": path}.items():
+        flag = f"--{key.replace('_', '-')}"
+        if value:
+            given.append(flag if value is True else f"{flag}={value}")
+    if any(hydra[key] for key in ("cfg", "info", "hydra_help", "shell_completion")):
         if as_json:
             raise BadInputError("--json: prints a command's result and cannot be combined with --cfg or --info")
         # Hydra's help is about Hydra's own config, which has none of our keys
-        return application.show(name, given, [] if options["--hydra-help"] else prepared.overrides)
+        return application.show(name, given, [] if hydra["hydra_help"] else prepared.overrides)
     return application.run(name, given, prepared.overrides, run, as_json=as_json, continues=prepared.continues)
 
 

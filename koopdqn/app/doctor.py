@@ -6,17 +6,14 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 from koopdqn import console
 from koopdqn.errors import KoopdqnError
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 Status = Literal["ok", "warn", "fail"]
 
@@ -24,21 +21,8 @@ BACKENDS: Final = ("egl", "osmesa", "glfw")
 """Rendering backends of MuJoCo, in the order of preference without a display."""
 
 _PACKAGES: Final = (
-    "mujoco",
-    "dm-control",
-    "dm-env",
-    "torch",
-    "numpy",
-    "scipy",
-    "h5py",
-    "hydra-core",
-    "omegaconf",
-    "pydantic",
-    "safetensors",
-    "matplotlib",
-    "tensorboard",
-    "typer",
-    "rich",
+    *("mujoco", "dm-control", "dm-env", "torch", "numpy", "scipy", "h5py", "hydra-core", "omegaconf", "pydantic"),
+    *("safetensors", "matplotlib", "tensorboard", "typer", "rich"),
 )
 _LEAST_FREE_BYTES: Final = 1_000_000_000
 _PROBE_SECONDS: Final = 60.0
@@ -47,19 +31,17 @@ _MENDS: Final = {
     "osmesa": "Debian/Ubuntu: apt-get install libosmesa6",
     "glfw": "needs a display (DISPLAY or WAYLAND_DISPLAY)",
 }
-_MODEL: Final = "<mujoco><worldbody><light/><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
-_STEP_PROBE: Final = f"""
+_MODEL: Final = """
 import mujoco
-model = mujoco.MjModel.from_xml_string("{_MODEL}")
+model = mujoco.MjModel.from_xml_string(
+    "<mujoco><worldbody><light/><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>")
 data = mujoco.MjData(model)
 mujoco.mj_step(model, data)
+"""
+_STEP_PROBE: Final = f"""{_MODEL}
 print("dropped a ball for", data.time, "s")
 """
-_RENDER_PROBE: Final = f"""
-import mujoco
-model = mujoco.MjModel.from_xml_string("{_MODEL}")
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
+_RENDER_PROBE: Final = f"""{_MODEL}
 with mujoco.Renderer(model, 32, 32) as renderer:
     renderer.update_scene(data)
     assert renderer.render().any(), "the picture is black"
@@ -91,13 +73,21 @@ def run(*, as_json: bool) -> int:
     Args:
         as_json: print the findings as JSON instead of a table.
     """
+    from rich.text import Text
+
     checks = examine()
     works = all(check.status != "fail" for check in checks)
     if as_json:
         print(json.dumps({"works": works, "checks": [asdict(check) for check in checks]}, indent=2))
-    else:
-        console.say(_table(checks))
-        console.say("Everything koopdqn needs works." if works else "Something koopdqn needs is missing; see above.")
+        return 0 if works else 1
+    styles = {"ok": "green", "warn": "yellow", "fail": "bold red"}
+    headings = ("what", "", "found", "mend")
+    rows = [(Text(c.name), Text(c.status, style=styles[c.status]), Text(c.found), Text(c.mend)) for c in checks]
+    table = console.table(headings, rows, headings, box=None, pad_edge=False)
+    for column in table.columns:
+        column.overflow = "fold"
+    console.say(table)
+    console.say("Everything koopdqn needs works." if works else "Something koopdqn needs is missing; see above.")
     return 0 if works else 1
 
 
@@ -106,26 +96,23 @@ def examine() -> list[Check]:
     return [
         check_python(),
         *check_packages(_version),
-        check_mujoco(),
+        _probed("MuJoCo simulates", _STEP_PROBE, "pip install --force-reinstall mujoco"),
         *check_rendering(probe),
         check_terminal(),
-        check_threads(),
+        _check_threads(),
         check_folder(Path.cwd()),
-        *check_resources(),
+        *_check_resources(),
         check_video(_version("imageio"), _version("imageio-ffmpeg")),
     ]
 
 
 def probe(code: str, **environment: str) -> tuple[bool, str]:
     """Run Python code in a process of its own; return whether it worked and the last line it printed."""
+    command = [sys.executable, "-c", code]
+    variables = {**os.environ, **environment}
     try:
         done = subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, **environment},
-            capture_output=True,
-            text=True,
-            timeout=_PROBE_SECONDS,
-            check=False,
+            command, env=variables, capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False
         )
     except subprocess.TimeoutExpired:
         return False, f"no answer within {_PROBE_SECONDS:.0f} s"
@@ -137,6 +124,11 @@ def probe(code: str, **environment: str) -> tuple[bool, str]:
     # errors raised while Python cleans up after the error proper come last and say nothing
     lines = [line for line in lines if re.match(r"\w*(Error|Exception)\b", line)] or lines
     return done.returncode == 0, lines[-1].strip() if lines else "nothing printed"
+
+
+def _probed(name: str, code: str, mend: str) -> Check:
+    works, line = probe(code)
+    return Check(name, "ok", line) if works else Check(name, "fail", line, mend)
 
 
 def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Check:
@@ -158,19 +150,11 @@ def check_packages(version: Callable[[str], str | None]) -> list[Check]:
         found = version(name)
         if found is None:
             checks.append(Check(name, "fail", "not installed", f"pip install {name}"))
-        elif name == "mujoco" and _release(found) >= (4,):
+        elif name == "mujoco" and int(found.split(".")[0]) >= 4:
             checks.append(Check(name, "fail", f"{found}; dm-control needs mujoco < 4", "pip install 'mujoco>=3.17,<4'"))
         else:
             checks.append(Check(name, "ok", found))
     return checks
-
-
-def check_mujoco() -> Check:
-    """Return whether MuJoCo steps a small model."""
-    works, line = probe(_STEP_PROBE)
-    return Check(
-        "MuJoCo simulates", "ok" if works else "fail", line, "" if works else "pip install --force-reinstall mujoco"
-    )
 
 
 def check_rendering(run_probe: Callable[..., tuple[bool, str]]) -> list[Check]:
@@ -201,22 +185,20 @@ def check_rendering(run_probe: Callable[..., tuple[bool, str]]) -> list[Check]:
 def check_terminal() -> Check:
     """Return what the terminal can do; a run needs none unless a person answers its questions."""
     terminal = console.err()
-    size = shutil.get_terminal_size()
-    colour = terminal.color_system or "no colour"
     unicode = "Unicode" if terminal.encoding.lower().startswith("utf") else f"{terminal.encoding}: no Unicode"
     if not sys.stdin.isatty() or not terminal.is_terminal:
         mend = "only needed to answer questions yourself (ssh -t, docker run -it)"
         return Check("terminal", "warn", f"none, {unicode}", mend)
-    return Check("terminal", "ok", f"{size.columns} x {size.lines}, {colour}, {unicode}")
+    size = shutil.get_terminal_size()
+    found = f"{size.columns} x {size.lines}, {terminal.color_system or 'no colour'}, {unicode}"
+    return Check("terminal", "ok", found)
 
 
-def check_threads() -> Check:
+def _check_threads() -> Check:
     """Return how many threads torch uses by itself, and the cores this process may use."""
-    works, line = probe(_TORCH_PROBE)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if not works:
-        return Check("torch threads", "fail", line, "pip install --force-reinstall torch")
-    return Check("torch threads", "ok", f"{line} by default, {cores} cores")
+    check = _probed("torch threads", _TORCH_PROBE, "pip install --force-reinstall torch")
+    return check if check.mend else Check(check.name, "ok", f"{check.found} by default, {cores} cores")
 
 
 def check_folder(folder: Path) -> Check:
@@ -231,7 +213,7 @@ def check_folder(folder: Path) -> Check:
     return Check(name, "ok", found)
 
 
-def check_resources() -> list[Check]:
+def _check_resources() -> list[Check]:
     """Return whether the config tree and the assets are installed."""
     from koopdqn.resources import assets_dir, conf_dir
 
@@ -246,8 +228,8 @@ def check_resources() -> list[Check]:
 
 def check_video(imageio: str | None, ffmpeg: str | None) -> Check:
     """Return whether films can be written, given the versions of imageio and imageio-ffmpeg (None: absent)."""
-    if imageio is None or ffmpeg is None:
-        missing = " and ".join(n for n, v in (("imageio", imageio), ("imageio-ffmpeg", ffmpeg)) if v is None)
+    missing = " and ".join(name for name, v in (("imageio", imageio), ("imageio-ffmpeg", ffmpeg)) if v is None)
+    if missing:
         return Check("films (optional)", "warn", f"{missing} not installed", "pip install 'koopdqn[video]'")
     return Check("films (optional)", "ok", f"imageio {imageio}, imageio-ffmpeg {ffmpeg}")
 
@@ -257,21 +239,3 @@ def _version(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
-
-
-def _release(version: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in re.findall(r"\d+", version)[:2])
-
-
-def _table(checks: Sequence[Check]) -> "Table":
-    from rich.table import Table
-    from rich.text import Text
-
-    styles = {"ok": "green", "warn": "yellow", "fail": "bold red"}
-    table = Table(box=None, pad_edge=False)
-    for heading in ("what", "", "found", "mend"):
-        table.add_column(heading, overflow="fold")
-    for check in checks:
-        status = Text(check.status, style=styles[check.status])
-        table.add_row(Text(check.name), status, Text(check.found), Text(check.mend))
-    return table

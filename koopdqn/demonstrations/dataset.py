@@ -78,7 +78,7 @@ class Demonstration:
 
 
 def continuous(quaternions: Array) -> Array:
-    """Return quaternions (N, 4), each with the sign by which it turns least from the one before."""
+    """Return quaternions (N, 4) of continuous sign: each has the sign nearer to the one before it."""
     flips = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
     signs = np.concatenate([[1.0], np.cumprod(np.where(flips < 0, -1.0, 1.0))])
     return np.asarray(quaternions * signs[:, None], dtype=float)

@@ -1,23 +1,28 @@
-"""A task derived from demonstrations: start region, goal, step and orientation rule."""
+"""A task derived from demonstrations: start region, goal, step, orientation rule, and where the arm can follow them."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from itertools import product
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, smoothed, trimmed, turning_of
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
+from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Positive
-from koopdqn.tasks.demonstrated import DemonstratedTask, Turning
+from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
+
+if TYPE_CHECKING:
+    from koopdqn.tasks.reachability import Reachability
 
 # The step of the other tasks. Where a demonstration would have fewer steps than the fewest it is shorter, where
 # more than the most longer, within the bounds [m].
@@ -54,7 +59,7 @@ class Derivation(TaskChoice):
     place: Literal["auto"] | None = Field(
         description="auto: move all demonstrations rigidly to where the arm can follow them; null: leave them"
     )
-    turning: Turning | None = Field(description="what becomes of orientation")
+    turning: RotationType | None = Field(description="what becomes of orientation")
     step_m: float | None = Field(ge=1e-4, le=0.05, description="distance of one action [m]")
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
@@ -81,19 +86,19 @@ class Derivation(TaskChoice):
                 is at the goal.
         """
         kept = self.kept_of(len(demonstrations))
-        cut = [_cut(index, item) for index, item in enumerate(demonstrations.items)]
-        even = [smoothed(each.item) for each in cut]
-        learned, aside = even[: len(even) - kept], even[len(even) - kept :]
+        cut = trim_idle_each(demonstrations.items)
+        smoothed = [smooth(each.item) for each in cut]
+        learned, aside = smoothed[: len(smoothed) - kept], smoothed[len(smoothed) - kept :]
         goal = preprocess.goal_of(learned)
         spread = preprocess.check_position(learned, goal, self.end_spread)
         shown = [item.poses for item in learned]
-        turning = self.turning or turning_of(shown, goal, self.held_limit_rad)
+        turning = self.turning or rotation_type_of(shown, goal, self.held_limit_rad)
         if turning != "free":
             preprocess.check_orientation(learned, goal, self.end_spread_rad)
-        moved = [_oriented(preprocess.to_goal(item, goal), goal, turning) for item in learned]
+        moved = [_oriented(preprocess.align_goal(item, goal), goal, turning) for item in learned]
         task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
         notes = (
-            _about_recordings(cut, even, kept),
+            _about_recordings(cut, smoothed, kept),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_ABOUT_ONE[: len(learned) == 1],
@@ -114,7 +119,7 @@ class Derivation(TaskChoice):
             )
         return kept
 
-    def _task(self, training: Demonstrations, goal: Array, turning: Turning, kept: int) -> DemonstratedTask:
+    def _task(self, training: Demonstrations, goal: Array, turning: RotationType, kept: int) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
         turn = TURNS_PER_STEP * self.rotation_tolerance_rad
         trajectories = to_step([item.poses for item in training.items], step, turn)
@@ -153,14 +158,7 @@ class Derivation(TaskChoice):
         )
 
 
-def _cut(index: int, item: Demonstration) -> Trimmed:
-    try:
-        return trimmed(item)
-    except BadInputError as error:
-        raise BadInputError(f"demonstration {index}: {error}") from error
-
-
-def _oriented(item: Demonstration, goal: Array, turning: Turning) -> Demonstration:
+def _oriented(item: Demonstration, goal: Array, turning: RotationType) -> Demonstration:
     """Return a demonstration with the goal's orientation all along, unless the turn is learned."""
     if turning == "geodesic":
         return item
@@ -180,10 +178,10 @@ def _middle_one(trajectories: list[Array]) -> int:
     return int(apart.argmin())
 
 
-def _about_recordings(cut: list[Trimmed], even: list[Demonstration], kept: int) -> str:
-    noise = max(_taken_out(each.item, item) for each, item in zip(cut, even, strict=True))
+def _about_recordings(cut: list[Trimmed], smoothed: list[Demonstration], kept: int) -> str:
+    noise = max(_taken_out(each.item, item) for each, item in zip(cut, smoothed, strict=True))
     before, after = (max(values) for values in zip(*((each.before, each.after) for each in cut), strict=True))
-    learned = len(even) - kept
+    learned = len(smoothed) - kept
     return (
         f"made from {learned} demonstration{'s' if learned > 1 else ''}, {kept or 'none'} kept for evaluation; idle"
         f" ends cut off: up to {before:.2f} s before and {after:.2f} s after the motion; noise smoothed: up to"
@@ -191,10 +189,10 @@ def _about_recordings(cut: list[Trimmed], even: list[Demonstration], kept: int) 
     )
 
 
-def _taken_out(rough: Demonstration, even: Demonstration) -> float:
-    """Return the root mean square distance [m] of a recording from what smoothing made of it."""
-    there = at_arc_lengths(even.poses[:, pose.POSITION], even.times, rough.times)
-    return float(np.sqrt(((rough.poses[:, pose.POSITION] - there) ** 2).sum(axis=1).mean()))
+def _taken_out(recorded: Demonstration, smoothed: Demonstration) -> float:
+    """Return the RMS distance [m] between a recording and its smoothed version."""
+    there = at_arc_lengths(smoothed.poses[:, pose.POSITION], smoothed.times, recorded.times)
+    return float(np.sqrt(((recorded.poses[:, pose.POSITION] - there) ** 2).sum(axis=1).mean()))
 
 
 def _about_ends(task: DemonstratedTask, spread: float) -> str:
@@ -222,3 +220,59 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
 
 
 _ABOUT_ONE = ("one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated",)
+
+
+# Of a trajectory every so many poses are tried: a joint that stays within its bound over so many steps has room.
+_EVERY = 6
+# Moves tried: turns about the vertical [rad], and ways outward and upward [m].
+_TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
+_OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
+_UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
+# What counts as much as 0.1 m, to try small moves first.
+_TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
+
+
+def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
+    """Return the smallest rigid motion tried after which the arm can follow all trajectories (N, 7) with room.
+
+    Around the arm's first joint all places are alike, so the set is turned about its own middle, and moved away from
+    the base or toward it, and up or down.
+
+    Raises:
+        BadInputError: there is none.
+    """
+    middle = np.concatenate(trajectories)[:, pose.POSITION].mean(axis=0)
+    tried = 0
+    for placement in _candidates(middle):
+        tried += 1
+        placed = [placement.poses(rows) for rows in trajectories]
+        # Coarsely first: that is quick, and stricter where joints are fast.
+        if all(not blocked_at(reachability, rows, every) for every in (_EVERY, 1) for rows in placed):
+            return placement
+    raise BadInputError(
+        f"demos.place=auto: must find a place where the arm can follow all {len(trajectories)} demonstrations, found"
+        f" none among {tried} turns and moves"
+    )
+
+
+def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) -> str:
+    """Return where and why the arm cannot follow every so many of a trajectory's poses (N, 7); empty if it can."""
+    rows = trajectory[::every]
+    joints, motion = reachability.follow_as_far(rows)
+    if motion.joints is not None:
+        return ""
+    share, place = len(joints) / max(len(rows) - 1, 1), np.round(rows[len(joints), pose.POSITION], 3).tolist()
+    return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
+
+
+def _candidates(middle: Array) -> Iterator[Placement]:
+    """Yield placements of a set around its middle (3,) [m], small ones first."""
+    flat = np.array([middle[0], middle[1], 0.0])
+    outward = flat / max(float(np.linalg.norm(flat)), 1e-9)
+    moves = sorted(
+        product(_TURNS, _OUTWARD, _UPWARD),
+        key=lambda move: abs(move[0]) / _TURN_LIKE_TEN_CENTIMETRES + (abs(move[1]) + abs(move[2])) / 0.1,
+    )
+    for turn, out, up in moves:
+        turned = pose.rotate(pose.from_rotation_vector([0.0, 0.0, turn]), middle)
+        yield Placement(middle + out * outward + [0.0, 0.0, up] - turned, float(turn))

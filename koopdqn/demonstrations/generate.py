@@ -17,8 +17,8 @@ from koopdqn.tasks.task import Task
 
 _HARMONICS = 3
 _SUBSTEPS = 4
-# From one start, two demonstrations of a set differ by at least this share of the wander (Hausdorff distance), so
-# that no two are nearly the same: 5.2 mm where the wander is 4.5 mm.
+# From one start, two demonstrations of a set differ by at least this share of the variation (Hausdorff distance), so
+# that no two are nearly the same: 5.2 mm where the variation is 4.5 mm.
 _LEAST_DIFFERENCE = 1.155
 # Paths are smooth: every fourth pose, a step apart, tells them apart as well as all do.
 _COARSER = _SUBSTEPS
@@ -53,7 +53,7 @@ def generate(
     seed: int,
     advance: Callable[[int], None] = lambda done: None,
 ) -> Generated:
-    """Return demonstrations of a task, each from its own start with its own smooth shape and pace.
+    """Return demonstrations of a task, each from its own start with its own smooth variation and pace.
 
     Args:
         task: whose demonstrator is followed.
@@ -68,14 +68,15 @@ def generate(
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
-    shapes = _Shapes(task, rng)
+    nominal = _follow(task, task.nominal_start)
+    kept: list[Array] = []
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
         start = task.draw_demonstrated_starts(rng, 1)[0]
         joints, reason = None, reachability.enter(start).reason
         if not reason:
-            shape = shapes.draw()
-            times, poses = _paced(_wandered(_follow(task, start), shape), settings, rng)
+            variation, shown = _distinct_variation(task, rng, nominal, kept)
+            times, poses = _paced(_varied(_follow(task, start), variation), settings, rng)
             joints, reason = reachability.follow(poses)
         if joints is None:
             if not redrawn:
@@ -87,27 +88,24 @@ def generate(
                     f" found {sum(redrawn.values())} refused: {redrawn}"
                 )
             continue
-        shapes.keep(shape)
+        kept.append(shown)
         items.append(Demonstration(times, reachability.flange_poses(joints), joints))
         advance(len(items))
     return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
 
 
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
-    """Raise unless the arm can follow the demonstrator without variation; where it cannot, drawing again is no use."""
+    """Raise unless the arm can follow the demonstrator without variation: drawing again would not help."""
     _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
-    motion = reachability.enter(poses[0])
-    for reached in poses[1:]:
-        if motion.joints is not None:
-            motion = reachability.move(reached, motion.joints)
-        if motion.joints is None:
-            raise WorkFailedError(
-                f"task {task.name}: the arm must be able to follow the demonstrator, found at"
-                f" {np.round(reached[pose.POSITION], 3).tolist()} m: {motion.reason}: {motion.detail}"
-            )
+    joints, motion = reachability.follow_as_far(poses)
+    if motion.joints is None:
+        raise WorkFailedError(
+            f"task {task.name}: the arm must be able to follow the demonstrator, found at"
+            f" {np.round(poses[len(joints), pose.POSITION], 3).tolist()} m: {motion.reason}: {motion.detail}"
+        )
 
 
-def wander(task: Task, rng: np.random.Generator) -> Array:
+def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
     """Return a smooth offset (M, 3) [m] for every point of the task's path.
 
     It is a short random sine series along the path that vanishes at both ends and whose largest
@@ -120,30 +118,18 @@ def wander(task: Task, rng: np.random.Generator) -> Array:
     return np.asarray(offset * (task.variation_m / np.linalg.norm(offset, axis=1).max()), dtype=float)
 
 
-class _Shapes:
-    """Shapes of a set of demonstrations, each told apart from the others on the path from one and the same start."""
+def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept: list[Array]) -> tuple[Array, Array]:
+    """Return a variation (M, 3) [m] and the positions (N, 3) [m] it makes of the path from the nominal start.
 
-    def __init__(self, task: Task, rng: np.random.Generator) -> None:
-        self._task, self._rng = task, rng
-        self._path = _follow(task, task.nominal_start)
-        self._kept: list[Array] = []
-
-    def draw(self) -> Array:
-        """Return a new shape (M, 3) [m]; in a crowded set, that has no room for another, it is as it comes."""
-        for _ in range(1000):
-            shape = wander(self._task, self._rng)
-            path = self._shown(shape)
-            least = _LEAST_DIFFERENCE * self._task.variation_m
-            if all(hausdorff(path, other) >= least for other in self._kept):
-                return shape
-        return wander(self._task, self._rng)
-
-    def keep(self, shape: Array) -> None:
-        """Take a shape (M, 3) [m] into the set."""
-        self._kept.append(self._shown(shape))
-
-    def _shown(self, shape: Array) -> Array:
-        return _wandered(self._path, shape)[::_COARSER, pose.POSITION]
+    These differ from the ``kept`` ones of the set; after a thousand draws that resemble others the next is taken.
+    """
+    least = _LEAST_DIFFERENCE * task.variation_m
+    for draw in range(1001):
+        variation = smooth_variation(task, rng)
+        shown = _varied(path, variation)[::_COARSER, pose.POSITION]
+        if draw == 1000 or all(hausdorff(shown, other) >= least for other in kept):
+            break
+    return variation, shown
 
 
 def _follow(task: Task, start: Array) -> Array:
@@ -151,10 +137,10 @@ def _follow(task: Task, start: Array) -> Array:
     return task.law(finer=_SUBSTEPS).roll_out(start, limit)
 
 
-def _wandered(path: Array, shape: Array) -> Array:
-    # The wander lies on the person's own path from this start, however gently that comes back to the nominal one.
+def _varied(path: Array, variation: Array) -> Array:
+    # The variation lies on the person's own path from this start, however gently that comes back to the nominal one.
     arc = arc_lengths(path[:, pose.POSITION])
-    offset = at_arc_lengths(shape, np.linspace(0.0, arc[-1], len(shape)), arc)
+    offset = at_arc_lengths(variation, np.linspace(0.0, arc[-1], len(variation)), arc)
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
 
 

@@ -10,7 +10,7 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
-from koopdqn.tasks.demonstrated import Turning
+from koopdqn.tasks.demonstrated import RotationType
 
 # A demonstration is bent over ten times what its end is moved by, so that its direction changes by no more than
 # some ten degrees; a short one over its later half.
@@ -18,10 +18,7 @@ _BENT = 10.0
 
 
 def goal_of(items: Sequence[Demonstration]) -> Array:
-    """Return the mean pose (7,) of the ends of demonstrations.
-
-    The mean orientation is the largest eigenvector of Σ q qᵀ (Markley et al., Averaging quaternions, 2007).
-    """
+    """Return the mean pose (7,) of demonstrations' ends, the orientation after Markley et al. (2007): from Σ q qᵀ."""
     ends = np.array([item.poses[-1] for item in items])
     quaternions = ends[:, pose.QUATERNION]
     _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
@@ -34,7 +31,7 @@ def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> 
     """Return the largest distance [m] of an end from the goal (7,).
 
     Raises:
-        BadInputError: it is more than ``most`` times the median way from start to end.
+        BadInputError: it is more than ``most`` times the median distance from start to end.
     """
     way = float(np.median([pose.position_distance(item.poses[0], item.poses[-1]) for item in items]))
     apart = [float(pose.position_distance(item.poses[-1], goal)) for item in items]
@@ -48,11 +45,7 @@ def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> 
 
 
 def check_orientation(items: Sequence[Demonstration], goal: Array, most: float) -> None:
-    """Raise unless every end is turned from the goal (7,) by at most ``most`` [rad].
-
-    Raises:
-        BadInputError: one is turned more.
-    """
+    """Raise BadInputError unless every end is turned from the goal (7,) by at most ``most`` [rad]."""
     turned = [float(pose.rotation_distance(item.poses[-1], goal)) for item in items]
     worst = int(np.argmax(turned))
     if turned[worst] > most:
@@ -62,11 +55,11 @@ def check_orientation(items: Sequence[Demonstration], goal: Array, most: float) 
         )
 
 
-def to_goal(item: Demonstration, goal: Array) -> Demonstration:
+def align_goal(item: Demonstration, goal: Array) -> Demonstration:
     """Return a demonstration bent so that it ends at the goal (7,), without its joint angles.
 
-    The later a pose, the more of the way from the demonstration's own end to the goal it is moved and turned: a
-    smooth step over the last part of the path, which is ten times as long as that way or half the path.
+    Poses are moved and turned by a share of what its own end lacks: a smooth step from 0 to 1 over the last part of
+    the path, which is ten times as long as that distance or half the path.
     """
     offset = goal[pose.POSITION] - item.poses[-1, pose.POSITION]
     arc = arc_lengths(item.poses[:, pose.POSITION])
@@ -113,14 +106,12 @@ class Trimmed:
     after: float
 
 
-def trimmed(item: Demonstration) -> Trimmed:
+def trim_idle(item: Demonstration) -> Trimmed:
     """Return a demonstration without its idle ends.
 
-    The arm stands still as long as every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first one, or
-    within four standard deviations of the recording's own noise where that is more, up to three times as much. Of
-    the idle samples one is kept, the last of those at the start and the first of those at the end, with the pose at
-    rest: the mean of those within four standard deviations of the very first or last. Joint angles, where known,
-    are those of the kept samples.
+    The arm is idle while every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first (or last) one, or
+    within four standard deviations of the sensor noise where that is more, up to three times as much. One idle sample
+    is kept at each end, next to the motion, with the mean pose of the idle samples within the noise.
 
     Raises:
         BadInputError: nothing moves.
@@ -141,10 +132,25 @@ def trimmed(item: Demonstration) -> Trimmed:
     return Trimmed(Demonstration(item.times[first : last + 1], poses, joints), float(before), float(after))
 
 
-def noise_of(item: Demonstration) -> tuple[float, float]:
-    """Return the standard deviations of the noise of positions [m] and orientations [rad], each that of its length.
+def trim_idle_each(items: Sequence[Demonstration]) -> list[Trimmed]:
+    """Return demonstrations without their idle ends.
 
-    It is the median size of second differences, which motion hardly shows in: those of white noise of standard
+    Raises:
+        BadInputError: nothing moves in one; the message names it.
+    """
+    found = []
+    for index, item in enumerate(items):
+        try:
+            found.append(trim_idle(item))
+        except BadInputError as error:
+            raise BadInputError(f"demonstration {index}: {error}") from error
+    return found
+
+
+def noise_of(item: Demonstration) -> tuple[float, float]:
+    """Return the standard deviations of the sensor noise of positions [m] and of orientations [rad].
+
+    They come from the median size of second differences, which motion hardly shows in: those of white noise of standard
     deviation σ have √6·σ in each component.
     """
     if len(item) < _FEWEST:
@@ -179,22 +185,21 @@ _CONSTANT = 1e-6
 _LOG_PENALTIES = (-12.0, 18.0)
 
 
-def smoothed(item: Demonstration) -> Demonstration:
+def smooth(item: Demonstration) -> Demonstration:
     """Return a demonstration whose sensor noise is smoothed out.
 
-    Each component of position and quaternion is the minimiser of ‖y − z‖² + λ‖Δ²z‖² (Whittaker 1923), with the λ that
-    generalised cross-validation chooses (Craven & Wahba 1979): from a recording without noise that is the recording
-    itself, and noise is taken out as far as it can be told from the motion. Fewer than 10 samples stay
-    as they are. Joint angles, which would no longer belong to the poses, are left out.
+    Each component of position and quaternion is the minimiser of ‖y − z‖² + λ‖Δ²z‖² (Whittaker 1923), λ by generalised
+    cross-validation (Craven & Wahba 1979): a recording without noise stays as it is. So do fewer than 10 samples.
+    Joint angles, which would no longer belong to the poses, are left out.
     """
     times, poses = _thinned(item.times, item.poses)
     if len(times) < _FEWEST_SAMPLES:
         return item
-    values = np.stack([_even(poses[:, i]) for i in range(poses.shape[1])], axis=1)
+    values = np.stack([_smooth_component(poses[:, i]) for i in range(poses.shape[1])], axis=1)
     return Demonstration(times, pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION]))
 
 
-def _even(values: Array) -> Array:
+def _smooth_component(values: Array) -> Array:
     from scipy.linalg import solveh_banded
     from scipy.optimize import minimize_scalar
 
@@ -209,7 +214,7 @@ def _even(values: Array) -> Array:
     # Their eigenvalues are near those with mirrored ends, which cosines give (Garcia 2010).
     roughness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** 2
 
-    def even(log_penalty: float) -> Array:
+    def penalised(log_penalty: float) -> Array:
         bands = np.exp(log_penalty) * second
         bands[2] += 1.0
         return np.asarray(solveh_banded(bands, values))
@@ -217,9 +222,9 @@ def _even(values: Array) -> Array:
     def score(log_penalty: float) -> float:
         penalty = np.exp(log_penalty)
         lost = float((penalty * roughness / (1.0 + penalty * roughness)).sum())
-        return float(((values - even(log_penalty)) ** 2).sum()) / lost**2
+        return float(((values - penalised(log_penalty)) ** 2).sum()) / lost**2
 
-    return even(float(minimize_scalar(score, bounds=_LOG_PENALTIES, method="bounded").x))
+    return penalised(float(minimize_scalar(score, bounds=_LOG_PENALTIES, method="bounded").x))
 
 
 def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
@@ -237,7 +242,7 @@ def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
     )
 
 
-def turning_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> Turning:
+def rotation_type_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> RotationType:
     """Return what pose trajectories (N, 7) do with orientation on their way to the goal (7,).
 
     Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Geodesic: anything else. People turn a

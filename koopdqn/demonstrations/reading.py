@@ -70,5 +70,5 @@ def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: b
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Return a sort key by which demo_9 comes before demo_10."""
+    """Return a sort key that puts demo_9 before demo_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", str(path))]

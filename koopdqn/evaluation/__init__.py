@@ -1,1 +1,1 @@
-"""Evaluation: what a policy is worth on held-out starts, beside what comes without learning."""
+"""Evaluation: a policy on held-out starts, beside baselines that learn nothing."""

@@ -1,4 +1,4 @@
-"""What comes without learning, from the same starts as a policy, also with K replaced."""
+"""Baselines: methods that learn nothing, from the same starts as a policy, some with K replaced."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -12,12 +12,11 @@ from koopdqn import pose
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.signs import along_mean
-from koopdqn.paths import mean_poses
+from koopdqn.paths import between, mean_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import COUNT, nearest_actions
 from koopdqn.tasks.person import ShownPath
-from koopdqn.tasks.rollout import SUCCESS, Episode, follow, roll_out
-from koopdqn.tasks.start_frame import StartFrame
+from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_wishes
 from koopdqn.tasks.workcell import Workcell
@@ -102,7 +101,7 @@ class MeanTangent:
     @classmethod
     def of(cls, trajectories: list[Array], task: Task) -> "MeanTangent":
         """Return the prediction from demonstrated poses (N, 7) at the agent's step, told in the start frame."""
-        return cls(ShownPath.along(mean_poses(trajectories, max(len(rows) for rows in trajectories))), task)
+        return cls(ShownPath.along(_mean(trajectories)), task)
 
     def __call__(self, poses: Array) -> Array:
         """Return the next poses (N, 7) of poses (N, 7)."""
@@ -121,29 +120,6 @@ class MeanTangent:
         from scipy.spatial import KDTree
 
         return KDTree(self.mean.places.points)
-
-
-def straight_path(start: Array, end: Array, task: Task) -> Array:
-    """Return the poses (T, 7) from a start (7,) straight to an end (7,), turning evenly along the geodesic.
-
-    Its equal steps are as few as keep each within the task's step, and each turn within what a
-    demonstration's samples may turn (:func:`koopdqn.intent.fit.agent_steps`). From a pose to itself
-    there is no step: T = 1.
-    """
-    distance, angle = float(pose.position_distance(start, end)), float(pose.rotation_distance(start, end))
-    largest_turn = TURNS_PER_STEP * task.rotation_tolerance_rad
-    # 1e-9: a distance of exactly n steps must not become n + 1 by rounding.
-    count = max(math.ceil(distance / task.step_m - 1e-9), math.ceil(angle / largest_turn - 1e-9))
-    share = np.linspace(0.0, 1.0, count + 1)
-    position = start[pose.POSITION] + share[:, None] * (end[pose.POSITION] - start[pose.POSITION])
-    turned = pose.turned_toward(np.tile(start[pose.QUATERNION], (count + 1, 1)), end[pose.QUATERNION], share * angle)
-    return pose.make(position, turned)
-
-
-def straight_line(workcell: Workcell, starts: Array, joints: Array) -> list[Episode]:
-    """Return the episodes of going straight to the goal from starts (N, 7) with joints (N, 6)."""
-    paths = [straight_path(start, workcell.task.goal, workcell.task) for start in starts]
-    return follow(paths, workcell.task, workcell.reachability, joints)
 
 
 @dataclass(frozen=True)
@@ -166,19 +142,27 @@ class Greedy:
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        wished = self.model.to_step(poses, self._predicted(poses, starts), self.task.step_m)
-        return nearest_actions(poses, wished, self.task)
-
-    def _predicted(self, poses: Array, starts: Array) -> Array:
-        if self.instead is None:
-            return self.model.intended(poses, starts)
         frame = self.model.start_frame
-        return frame.unplaced(self.instead(frame.placed(poses, starts)), starts, poses)
+        if self.instead is None:
+            wished = self.model.intended(poses, starts)
+        else:
+            wished = frame.unplaced(self.instead(frame.placed(poses, starts)), starts, poses)
+        return nearest_actions(poses, self.model.to_step(poses, wished, self.task.step_m), self.task)
 
 
-def greedy(workcell: Workcell, model: IntentModel, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
-    """Return the episodes of :class:`Greedy` from starts (N, 7) with joints (N, 6)."""
-    return roll_out(Greedy(model, workcell.task), workcell.task, workcell.reachability, starts, joints, step_limit)
+def straight_path(start: Array, end: Array, task: Task) -> Array:
+    """Return the poses (T, 7) from a start (7,) straight to an end (7,), turning evenly along the geodesic.
+
+    Its equal steps are as few as keep each within the task's step, and each turn within what a
+    demonstration's samples may turn (:func:`koopdqn.intent.fit.agent_steps`). From a pose to itself
+    there is no step: T = 1.
+    """
+    distance, angle = float(pose.position_distance(start, end)), float(pose.rotation_distance(start, end))
+    largest_turn = TURNS_PER_STEP * task.rotation_tolerance_rad
+    # 1e-9: a distance of exactly n steps must not become n + 1 by rounding.
+    count = max(math.ceil(distance / task.step_m - 1e-9), math.ceil(angle / largest_turn - 1e-9))
+    shares = np.linspace(0.0, 1.0, count + 1)
+    return between(np.tile(start, (count + 1, 1)), np.tile(end, (count + 1, 1)), shares)
 
 
 def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
@@ -195,67 +179,10 @@ def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
     return np.concatenate([straight_path(start, nearest[0], task), nearest[1:]])
 
 
-def nearest_demonstration(workcell: Workcell, trajectories: list[Array], starts: Array, joints: Array) -> list[Episode]:
-    """Return the episodes of replaying the nearest demonstration from starts (N, 7) with joints (N, 6)."""
-    paths = [replay_path(start, trajectories, workcell.task) for start in starts]
-    return follow(paths, workcell.task, workcell.reachability, joints)
-
-
-def mean_demonstration(
-    workcell: Workcell, frame: StartFrame, trajectories: list[Array], starts: Array, joints: Array
-) -> list[Episode]:
-    """Return the episodes of replaying the mean of the demonstrations, told in a frame, from starts (N, 7)."""
-    mean = mean_poses(frame.each(trajectories), max(len(rows) for rows in trajectories))
-    paths = []
-    for start in starts:
-        path = frame.unplaced(mean, start[None], mean)
-        # People who follow their start begin there; the others go to where the mean begins.
-        turned = straight_path(start, path[0], workcell.task)
-        paths.append(np.concatenate([turned, path[1:]]))
-    return follow(paths, workcell.task, workcell.reachability, joints)
-
-
-@dataclass(frozen=True)
-class BestByReward:
-    """The controller that takes the action of the greatest reward by the intent model, trusted or not.
-
-    Attributes:
-        reward: the reward function.
-    """
-
-    reward: IntentReward
-
-    def __call__(self, poses: Array, starts: Array) -> np.ndarray:
-        """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        evaluation = self.reward.evaluate_actions(poses, np.zeros(len(poses), dtype=np.int64), starts)
-        return np.asarray(evaluation.reward.argmax(axis=1))
-
-
-def constant_action(workcell: Workcell, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
-    """Return the episodes of always taking one action, the one of the ten that succeeds most often."""
-    best: list[Episode] = []
-    for action in range(COUNT):
-        always = partial(_always, action)
-        episodes = roll_out(always, workcell.task, workcell.reachability, starts, joints, step_limit)
-        if not best or _successes(episodes) > _successes(best):
-            best = episodes
-    return best
-
-
-def floor(workcell: Workcell, starts: Array, joints: Array, step_limit: int) -> list[Episode]:
-    """Return the episodes of always taking the legal action nearest to where the scripted person would be."""
-    task = workcell.task
-
-    def nearest(poses: Array, begun: Array) -> np.ndarray:
-        return nearest_actions(poses, demonstrator_wishes(task, poses, begun), task)
-
-    return roll_out(nearest, task, workcell.reachability, starts, joints, step_limit)
-
-
-def without_learning(
+def baseline_episodes(
     workcell: Workcell, reward: IntentReward, trajectories: list[Array], starts: Array, joints: Array, step_limit: int
 ) -> Iterator[tuple[str, list[Episode]]]:
-    """Yield the episodes of every method of :class:`Baselines`, by its name.
+    """Yield the episodes of every method of :class:`koopdqn.evaluation.schema.Baselines`, by its name.
 
     Args:
         workcell: task, arm and scene.
@@ -265,26 +192,47 @@ def without_learning(
         joints: (N, 6) [rad] there.
         step_limit: steps after which an episode fails.
     """
-    task, model, given = workcell.task, reward.model, (starts, joints, step_limit)
-    yield "straight_line", straight_line(workcell, starts, joints)
-    yield "constant_action", constant_action(workcell, *given)
-    yield "greedy", greedy(workcell, model, *given)
-    yield "argmax_reward", roll_out(BestByReward(reward), task, workcell.reachability, *given)
-    placed = model.start_frame.each(trajectories)
-    instead: dict[str, NextPose] = {
-        "nearest_velocity": NearestVelocity.of(placed, task),
-        "mean_tangent": MeanTangent.of(placed, task),
-        "mean_pursuit": along_mean(placed, task).next_pose,
-    }
-    for name, prediction in instead.items():
-        yield name, roll_out(Greedy(model, task, prediction), task, workcell.reachability, *given)
-    yield "nearest_demonstration", nearest_demonstration(workcell, trajectories, starts, joints)
-    yield "mean_demonstration", mean_demonstration(workcell, model.start_frame, trajectories, starts, joints)
-    yield "floor", floor(workcell, *given)
+    task, model = workcell.task, reward.model
+    frame = model.start_frame
+    placed = frame.each(trajectories)
+
+    def controlled(controller: Controller) -> list[Episode]:
+        return roll_out(controller, task, workcell.reachability, starts, joints, step_limit)
+
+    def followed(path: Callable[[Array], Array]) -> list[Episode]:
+        return follow([path(start) for start in starts], task, workcell.reachability, joints)
+
+    def best_by_reward(poses: Array, begun: Array) -> np.ndarray:
+        evaluation = reward.evaluate_actions(poses, np.zeros(len(poses), dtype=np.int64), begun)
+        return np.asarray(evaluation.reward.argmax(axis=1))
+
+    def mean_path(start: Array) -> Array:
+        # People who follow their start begin there; the others go to where the mean begins.
+        path = frame.unplaced(mean, start[None], mean)
+        return np.concatenate([straight_path(start, path[0], task), path[1:]])
+
+    yield "straight_line", followed(lambda start: straight_path(start, task.goal, task))
+    # Of equals the first.
+    yield "constant_action", max((controlled(_always(action)) for action in range(COUNT)), key=_successes)
+    yield "greedy", controlled(Greedy(model, task))
+    yield "argmax_reward", controlled(best_by_reward)
+    yield "nearest_velocity", controlled(Greedy(model, task, NearestVelocity.of(placed, task)))
+    yield "mean_tangent", controlled(Greedy(model, task, MeanTangent.of(placed, task)))
+    yield "mean_pursuit", controlled(Greedy(model, task, along_mean(placed, task).next_pose))
+    yield "nearest_demonstration", followed(lambda start: replay_path(start, trajectories, task))
+    mean = _mean(placed)
+    yield "mean_demonstration", followed(mean_path)
+    wishes = partial(demonstrator_wishes, task)
+    yield "floor", controlled(lambda poses, begun: nearest_actions(poses, wishes(poses, begun), task))
 
 
-def _always(action: int, poses: Array, starts: Array) -> np.ndarray:
-    return np.full(len(poses), action)
+def _mean(trajectories: list[Array]) -> Array:
+    """Return the mean (T, 7) of demonstrated poses (N, 7), with as many as the longest has."""
+    return mean_poses(trajectories, max(len(rows) for rows in trajectories))
+
+
+def _always(action: int) -> Controller:
+    return lambda poses, starts: np.full(len(poses), action)
 
 
 def _successes(episodes: list[Episode]) -> int:

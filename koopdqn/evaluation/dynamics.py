@@ -72,38 +72,38 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
     arm = workcell.arm
     scene = copy.copy(workcell.scene)
     scene.data = mujoco.MjData(scene.model)
-    commanded, speed = _set_points(
-        joints, time_scale * workcell.reachability.durations(joints), scene.model.opt.timestep
-    )
+    seconds = float(scene.model.opt.timestep)
+    commanded, speed = _set_points(joints, time_scale * workcell.reachability.durations(joints), seconds)
     led = commanded + _lag(scene) * speed
-    recorder = _Recorder(scene, len(commanded) - 1)
-    scene.data.qpos[scene.joint_index] = joints[0]
-    for index in range(len(commanded) - 1):
-        scene.data.ctrl[scene.actuator_index] = led[index]
-        recorder.step(index)
-    _rest(scene, joints[-1])
-    at_rest = arm.forward(scene.data.qpos[scene.joint_index])
-    error = pose.position_distance(arm.forward(recorder.joints), arm.forward(commanded[1:]))
+    made, speeds, torques = (np.empty((len(led) - 1, 6)) for _ in range(3))
+    touched: list[str] = []
+    data = scene.data
+    data.qpos[scene.joint_index] = joints[0]
+    for index in range(len(led) - 1):
+        data.ctrl[scene.actuator_index] = led[index]
+        mujoco.mj_step(scene.model, data)
+        made[index], speeds[index] = data.qpos[scene.joint_index], data.qvel[scene.velocity_index]
+        torques[index] = (data.qfrc_actuator + data.qfrc_gravcomp)[scene.velocity_index]
+        if contact := scene.current_contact():
+            touched.append(contact)
+    data.ctrl[scene.actuator_index] = joints[-1]
+    mujoco.mj_step(scene.model, data, nstep=math.ceil(REST_SECONDS / seconds))
+    at_rest = arm.forward(data.qpos[scene.joint_index])
+    error = pose.position_distance(arm.forward(made), arm.forward(commanded[1:]))
     return Execution(
         tracking_error_mm=error * _MILLIMETRES,
-        speed_ratio=float((np.abs(recorder.speed) / np.array(arm.velocity_limits)).max()),
-        torque_ratio=float((np.abs(recorder.torque) / np.array(arm.torque_limits)).max()),
-        contact_steps=recorder.contact_steps,
-        first_contact=recorder.first_contact,
+        speed_ratio=float((np.abs(speeds) / np.array(arm.velocity_limits)).max()),
+        torque_ratio=float((np.abs(torques) / np.array(arm.torque_limits)).max()),
+        contact_steps=len(touched),
+        first_contact=touched[0] if touched else "",
         sag_mm=float(pose.position_distance(at_rest, arm.forward(joints[-1]))) * _MILLIMETRES,
-        joints=recorder.joints,
-        physics_seconds=float(scene.model.opt.timestep),
+        joints=made,
+        physics_seconds=seconds,
     )
 
 
 def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:
-    """Return the executions' report.
-
-    Args:
-        executions: of paths, all with one time scale; may be none.
-        time_scale: how many times ``step_seconds`` one step took.
-        step_seconds: how long one step takes as planned [s].
-    """
+    """Return the report of executions whose steps took ``time_scale`` times ``step_seconds`` [s]; there may be none."""
     touched = [execution for execution in executions if execution.contact_steps]
     errors = [execution.tracking_error_mm for execution in executions]
     tracking = summary(np.array([error.mean() for error in errors])).model_copy(
@@ -123,27 +123,6 @@ def summarise(executions: list[Execution], time_scale: float, step_seconds: floa
         ),
         sag_mm=summary(np.array([execution.sag_mm for execution in executions])),
     )
-
-
-class _Recorder:
-    """Steps the physics and writes down what happens."""
-
-    def __init__(self, scene: Scene, steps: int) -> None:
-        self._scene = scene
-        self.joints, self.speed, self.torque = (np.empty((steps, 6)) for _ in range(3))
-        self.contact_steps = 0
-        self.first_contact = ""
-
-    def step(self, index: int) -> None:
-        scene, data = self._scene, self._scene.data
-        mujoco.mj_step(scene.model, data)
-        self.joints[index] = data.qpos[scene.joint_index]
-        self.speed[index] = data.qvel[scene.velocity_index]
-        self.torque[index] = (data.qfrc_actuator + data.qfrc_gravcomp)[scene.velocity_index]
-        if data.ncon:
-            contact = scene.current_contact()
-            self.contact_steps += bool(contact)
-            self.first_contact = self.first_contact or contact
 
 
 def _set_points(joints: Array, durations: Array, physics_seconds: float) -> tuple[Array, Array]:
@@ -171,9 +150,3 @@ def _lag(scene: Scene) -> Array:
             f" found biasprm[1] = {bias[worst, 1]:g}"
         )
     return np.asarray(bias[:, 2] / bias[:, 1])
-
-
-def _rest(scene: Scene, joints: Array) -> None:
-    scene.data.ctrl[scene.actuator_index] = joints
-    for _ in range(math.ceil(REST_SECONDS / scene.model.opt.timestep)):
-        mujoco.mj_step(scene.model, scene.data)

@@ -1,29 +1,44 @@
-"""Evaluating a policy on held-out starts, beside what comes without learning: the content of ``eval.json``."""
+"""A policy measured on held-out starts and demonstrations: the content of ``eval.json``."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pydantic import Field
 
-from koopdqn.evaluation.baselines import without_learning
+from koopdqn import pose
+from koopdqn.evaluation.baselines import baseline_episodes
 from koopdqn.evaluation.dynamics import execute, summarise
-from koopdqn.evaluation.holdout import measure_holdout
-from koopdqn.evaluation.metrics import measure
-from koopdqn.evaluation.references import reference_paths
-from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, MethodReport
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.metrics import hausdorff_mm, measure, reference_paths
+from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, HoldoutReport, MethodReport
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
+from koopdqn.settings import Count, Settings
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.workcell import Workcell
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 # Sets the starts' random stream apart from those of demonstrations (1), training (2) and its checks (3),
 # even if the seeds are equal.
 _STREAM = 4
+
+
+class EvaluationSettings(Settings):
+    """On which starts a policy is measured, and what is measured beside it."""
+
+    episodes: int = Field(ge=1, le=100_000, description="held-out starts")
+    seed: int = Field(ge=0, description="of the starts; their random stream is never one of training's or its checks'")
+    start_scale: float = Field(
+        gt=0,
+        le=100,
+        description="half ranges of the start region times this; above 1, starts farther than any demonstrated",
+    )
+    dynamics: bool = Field(description="also execute paths in MuJoCo dynamics through the arm's actuators")
+    dynamics_episodes: Count = Field(description="successful paths executed so, the first ones, if there are as many")
+    time_scale: float = Field(
+        ge=1, le=1000, description="how many times robot.step_seconds one step takes in that execution"
+    )
+    baselines: bool = Field(description="also measure methods that learn nothing, from the same starts")
 
 
 @dataclass(frozen=True)
@@ -75,7 +90,7 @@ def evaluate(
     Args:
         workcell: task, arm and scene.
         policy: chooses the actions (N,) from poses (N, 7).
-        reward: with the fitted intent and its tube, for ``tube_fraction`` and what comes without learning.
+        reward: with the fitted intent and its tube, for ``tube_fraction`` and the baselines.
         trajectories: demonstrated poses (N, 7) at the agent's step, for the baselines that replay them.
         settings: on which starts, and what is measured beside.
         step_limit: steps after which an episode fails.
@@ -91,20 +106,14 @@ def evaluate(
     references = reference_paths(task, starts, step_limit) if held_out is None else None
     episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
     advance(len(episodes))
-
-    def measured(baseline: list[Episode]) -> MethodReport:
-        advance(len(baseline))
-        return measure(baseline, references, task, reward.trust, reward.model.start_frame, workcell.reachability)
-
-    baselines = None
+    baselines = {}
     if settings.baselines:
-        found = without_learning(workcell, reward, trajectories, starts, joints, step_limit)
-        baselines = Baselines(**{name: measured(each) for name, each in found})
-    dynamics = _dynamics(workcell, episodes, settings, advance) if settings.dynamics else None
-    policy_report = measure(episodes, references, task, reward.trust, reward.model.start_frame, workcell.reachability)
-    holdout = None
+        for name, made in baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit):
+            baselines[name] = _measured(workcell, reward, made, references)
+            advance(len(made))
+    holdout, compared = None, episodes if held_out is None else []
     if held_out:
-        holdout = measure_holdout(
+        holdout, compared = _holdout(
             workcell, policy, reward, trajectories, held_out, step_limit, baselines=settings.baselines
         )
     report = EvaluationReport(
@@ -114,13 +123,19 @@ def evaluate(
         start_scale=settings.start_scale,
         redrawn_starts=redrawn,
         step_limit=step_limit,
-        dynamics=dynamics,
-        baselines=baselines,
-        holdout=holdout.report if holdout else None,
-        **dict(policy_report),
+        dynamics=_dynamics(workcell, episodes, settings, advance) if settings.dynamics else None,
+        baselines=Baselines(**baselines) if settings.baselines else None,
+        holdout=holdout,
+        **dict(_measured(workcell, reward, episodes, references)),
     )
-    compared = episodes if held_out is None else holdout.episodes if holdout else []
     return Evaluation(report.model_dump(mode="json"), episodes, compared, held_out or references or [])
+
+
+def _measured(
+    workcell: Workcell, reward: IntentReward, episodes: list[Episode], references: list[Array] | None
+) -> MethodReport:
+    frame = reward.model.start_frame
+    return measure(episodes, references, workcell.task, reward.trust, frame, workcell.reachability)
 
 
 def _dynamics(
@@ -135,59 +150,49 @@ def _dynamics(
     return summarise(executions, settings.time_scale, workcell.arm.step_seconds)
 
 
-def table(report: dict[str, Any]) -> "Table":
-    """Return the content of ``eval.json`` as a table of one row per method, the policy first."""
-    from rich import box
-    from rich.table import Table
+def _holdout(
+    workcell: Workcell,
+    policy: Controller,
+    reward: IntentReward,
+    trajectories: list[Array],
+    held_out: list[Array],
+    step_limit: int,
+    *,
+    baselines: bool,
+) -> tuple[HoldoutReport, list[Episode]]:
+    """Return the section ``holdout`` of ``eval.json`` and the policy's episodes, one a held-out demonstration."""
+    task = workcell.task
+    entered = [workcell.reachability.enter(path[0]) for path in held_out]
+    ready = [index for index, motion in enumerate(entered) if motion.joints is not None]
+    starts = np.array([held_out[index][0] for index in ready]).reshape(-1, 7)
+    joints = np.array([entered[index].joints for index in ready]).reshape(-1, 6)
+    hausdorff: dict[str, list[float]] = {}
 
-    found = Table(
-        title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}",
-        caption="deviation: mean and 95th percentile of the largest, points matched by arc length",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+    def measured(name: str, made: list[Episode]) -> tuple[MethodReport, list[Episode]]:
+        # An arm that cannot take the start has failed before its first step.
+        home = np.array(workcell.arm.home)[None]
+        episodes = [
+            made[ready.index(index)]
+            if index in ready
+            else Episode(path[:1], home, entered[index].reason, entered[index].detail)
+            for index, path in enumerate(held_out)
+        ]
+        hausdorff[name] = [hausdorff_mm(episode.poses, path) for episode, path in zip(episodes, held_out, strict=True)]
+        return _measured(workcell, reward, episodes, held_out), episodes
+
+    own = roll_out(policy, task, workcell.reachability, starts, joints, step_limit) if ready else []
+    report, episodes = measured("policy", own)
+    beside = None
+    if baselines:
+        # Where the arm can take no start there is nothing to make.
+        made = dict(baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit)) if ready else {}
+        beside = Baselines(**{name: measured(name, made.get(name, []))[0] for name in Baselines.model_fields})
+    holdout = HoldoutReport(
+        demonstrations=len(held_out),
+        outcomes=[episode.outcome for episode in episodes],
+        hausdorff_mm=hausdorff,
+        end_gap_mm=[float(pose.position_distance(path[-1], task.goal)) * 1e3 for path in held_out],
+        policy=report,
+        baselines=beside,
     )
-    found.add_column("method", no_wrap=True)
-    for heading in ("success", "deviation", "sideways"):
-        found.add_column(heading, justify="right", no_wrap=True)
-    found.add_column("failures")
-    for name, method in {"policy": report, **(report["baselines"] or {})}.items():
-        found.add_row(name.replace("_", " "), *_cells(method))
-    return found
-
-
-def holdout_table(report: dict[str, Any]) -> "Table":
-    """Return the section ``holdout`` of ``eval.json`` as a table of one row per method, the policy first."""
-    from rich import box
-    from rich.table import Table
-
-    holdout = report["holdout"]
-    found = Table(
-        title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
-        caption="Hausdorff in mm: the farthest from the held-out demonstration, median and largest",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
-    )
-    found.add_column("method", no_wrap=True)
-    for heading in ("success", "Hausdorff", "deviation", "sideways"):
-        found.add_column(heading, justify="right", no_wrap=True)
-    found.add_column("failures")
-    for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
-        success, *rest = _cells(method)
-        apart = np.array(holdout["hausdorff_mm"][name])
-        found.add_row(name.replace("_", " "), success, f"{np.median(apart):.1f} / {apart.max():.1f}", *rest)
-    return found
-
-
-def _cells(method: dict[str, Any]) -> list[str]:
-    deviation, (low, high) = method["path_deviation_mm"], method["success_interval_95"]
-    causes = sorted(((count, cause) for cause, count in method["failures"].items() if count), reverse=True)
-    return [
-        f"{method['success_rate']:.0%} ({100 * low:.0f}–{100 * high:.0f})",
-        f"{_number(deviation['mean'], 1)} / {_number(deviation['p95_of_max'], 0)} mm",
-        f"{_number(method['lateral_deviation_mm']['mean'], 1)} mm",
-        ", ".join(f"{count} {cause.replace('_', ' ')}" for count, cause in causes) or "none",
-    ]
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
+    return holdout, episodes

@@ -36,17 +36,9 @@ class PathDeviation(LateralDeviation):
 class Range(ReportModel):
     """A quantity over episodes, of which the least matters too."""
 
-    mean: NonNegative | None = Field(description="mean over episodes")
-    min: NonNegative | None = Field(description="least of all episodes")
-    max: NonNegative | None = Field(description="largest of all episodes")
-
-
-class Measure(ReportModel):
-    """A quantity that a task measures of its own, over episodes."""
-
-    mean: float = Field(description="mean over episodes")
-    min: float = Field(description="least of all episodes")
-    max: float = Field(description="largest of all episodes")
+    mean: float | None = Field(description="mean over episodes")
+    min: float | None = Field(description="least of all episodes")
+    max: float | None = Field(description="largest of all episodes")
 
 
 class TurnReport(ReportModel):
@@ -97,7 +89,7 @@ class MethodReport(ReportModel):
     )
     failures: dict[str, NonNegativeInt] = Field(description="failed episodes by cause; every cause is present")
     turn: TurnReport | None = Field(description="how turn and motion go together; null where orientation is held")
-    task_measures: dict[str, Measure] = Field(
+    task_measures: dict[str, Range] = Field(
         description="what the task measures of its own (`Task.measures`), over the measured episodes: by name, in the"
         " unit that the name ends in, objects of mean, min and max; knife: `blade_angle_final_deg`, of the edge to"
         " straight down at the end; `fraction_until_safe`, share of the path until the edge stays within the safe"
@@ -133,7 +125,7 @@ class DynamicsReport(ReportModel):
 
 
 class Baselines(ReportModel):
-    """What comes without learning, from the same starts."""
+    """Methods that learn nothing, from the same starts."""
 
     straight_line: MethodReport = Field(
         description="straight to the goal, turning evenly, in equal steps of at most the task's step"
@@ -184,7 +176,7 @@ class HoldoutReport(ReportModel):
         description="(H,) distance of each demonstration's own end from the task's goal, the mean of those learned from"
     )
     policy: MethodReport = Field(description="the policy from these starts")
-    baselines: Baselines | None = Field(description="what comes without learning, from these starts")
+    baselines: Baselines | None = Field(description="methods that learn nothing, from these starts")
 
 
 class EvaluationReport(MethodReport):
@@ -203,7 +195,7 @@ class EvaluationReport(MethodReport):
     )
     step_limit: Count = Field(description="steps after which an episode of the policy or of greedy fails")
     dynamics: DynamicsReport | None = Field(description="execution in dynamics; null if not asked for")
-    baselines: Baselines | None = Field(description="what comes without learning; null if not asked for")
+    baselines: Baselines | None = Field(description="methods that learn nothing; null if not asked for")
     holdout: HoldoutReport | None = Field(
         description="from the starts of held-out demonstrations; null unless the task is made from demonstrations and"
         " some are held out"

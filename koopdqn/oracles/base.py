@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from koopdqn.errors import KoopdqnError
 from koopdqn.pose import Array
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class PauseRequested(KoopdqnError):  # noqa: N818 (a wish of the person's, no fault)
-    """Who answers wants to go on another time: what is answered is kept, and the command ends with status 130."""
+    """Whoever answers wants to go on another time: what is answered is kept, and the command ends with status 130."""
 
     exit_status = 130
 
@@ -43,11 +43,11 @@ class Earlier:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a question stands among those gathered in an episode and asked at its end.
+    """Where a question stands among those put off in an episode and asked at its end.
 
     Attributes:
-        number: of the question among those asked, from 1.
-        expected: of them all, if every answer is yes; a no ends them.
+        number: of the question, from 1.
+        expected: how many there are if every answer is yes; a no ends them.
     """
 
     number: int
@@ -156,7 +156,7 @@ class OracleSettings(Settings, ABC):
         description="when to ask: where a question arises, or all of an episode together when it has ended",
     )
     gather_most: Count = Field(
-        default=10, description="with ask=episode: questions gathered in an episode, which ends at so many"
+        default=10, description="with ask=episode: questions put off in an episode, which ends at so many"
     )
 
     def check(self) -> None:
@@ -175,3 +175,44 @@ class OracleSettings(Settings, ABC):
             seed: fixes the oracle's chance, if it has any.
             folder: the run folder, for what the oracle keeps.
         """
+
+
+class CustomOracle(OracleSettings, Oracle):
+    """Base of an oracle of one's own: settings and oracle in one class. Subclass it and write ``answer``.
+
+    Fields of the class are keys of ``conf/oracle/`` and of the command line, checked as all others are.
+
+    Attributes:
+        workcell: task, arm and scene, there from ``prepare`` on.
+        seed: of the run, for whatever chance the oracle has.
+        folder: the run folder, for whatever it keeps.
+    """
+
+    _workcell: "Workcell | None" = PrivateAttr(None)
+    _seed: int = PrivateAttr(0)
+    _folder: Path = PrivateAttr(Path())
+
+    @property
+    def workcell(self) -> "Workcell":
+        """Task, arm and scene that the questions are about."""
+        assert self._workcell is not None, "there from prepare on"
+        return self._workcell
+
+    @property
+    def seed(self) -> int:
+        """The run's seed."""
+        return self._seed
+
+    @property
+    def folder(self) -> Path:
+        """The run folder."""
+        return self._folder
+
+    def prepare(self) -> None:
+        """Open what answering needs; called once, before the first question."""
+
+    def open(self, workcell: "Workcell", seed: int, folder: Path) -> Oracle:
+        """Return itself, prepared."""
+        self._workcell, self._seed, self._folder = workcell, seed, folder
+        self.prepare()
+        return self

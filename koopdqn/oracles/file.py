@@ -4,15 +4,17 @@ import json
 import os
 import stat
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from pydantic import Field, ValidationError
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Oracle, OracleSettings, PauseRequested, Question
 from koopdqn.oracles.journal import Action
-from koopdqn.schema import ReportModel
+from koopdqn.schema import ReportModel, flaw
 from koopdqn.settings import Name, NonNegativeInt, PathText
 
 if TYPE_CHECKING:
@@ -119,9 +121,7 @@ class FileOracle(Oracle):
         try:
             return FileAnswer.model_validate_json(line)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            key = ".".join(str(part) for part in first["loc"])
-            raise self._wrong(f"{key}: {first['msg']}" if key else first["msg"]) from error
+            raise self._wrong(flaw(error)) from error
 
     def _wrong(self, message: str) -> BadInputError:
         return BadInputError(f"oracle.answers {self._answers_path}: a line must be an answer as JSON: {message}")
@@ -129,23 +129,8 @@ class FileOracle(Oracle):
 
 def question_object(question: Question) -> dict[str, Any]:
     """Return a question as the JSON object that other programs read."""
-    return {
-        "kind": "question",
-        "number": question.number,
-        "left": question.left,
-        "episode": question.episode,
-        "step": question.step,
-        "pose": question.pose.tolist(),
-        "start": question.start.tolist(),
-        "action": question.action,
-        "reached": question.reached.tolist(),
-        "predicted": question.predicted.tolist(),
-        "candidates": None if question.candidates is None else question.candidates.tolist(),
-        "reason": question.reason,
-        "progress": question.progress,
-        "earlier": [vars(item) for item in question.earlier],
-        "place": None if question.place is None else vars(question.place),
-    }
+    fields = {"kind": "question", **asdict(question)}
+    return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
 
 
 def _opened(path: Path, mode: int) -> int:

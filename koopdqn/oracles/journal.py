@@ -2,18 +2,16 @@
 
 import json
 import os
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
-import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from koopdqn.errors import BadInputError
-from koopdqn.oracles.base import Answer, Earlier, Oracle, Question
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.oracles.base import Answer, Earlier
+from koopdqn.schema import ReportModel, flaw
+from koopdqn.settings import Name, NonNegative, NonNegativeInt
 from koopdqn.tasks.actions import COUNT
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
@@ -85,54 +83,8 @@ Line = Annotated[AnswerLine | UndoLine | EditLine | DropLine | OpinionLine, Fiel
 """Any line of a journal."""
 
 
-class TeacherSummary(ReportModel):
-    """What one teacher answered; withdrawn answers are left out."""
-
-    name: Name = Field(description="who answered")
-    answers: NonNegativeInt = Field(description="answers given")
-    right: NonNegativeInt = Field(description="of these, right")
-    wrong: NonNegativeInt = Field(description="of these, wrong")
-    skipped: NonNegativeInt = Field(description="of these, skipped")
-    better: NonNegativeInt = Field(description="of these, how many named the action that would have been right")
-    median_seconds: NonNegative = Field(description="median time of an answer [s]")
-
-
-class AgreementSummary(ReportModel):
-    """How far two teachers agree on the questions that both answered."""
-
-    one: Name = Field(description="one teacher")
-    other: Name = Field(description="the other")
-    questions: NonNegativeInt = Field(description="questions that both answered")
-    same: NonNegativeInt = Field(description="of these, how many alike")
-    share: Fraction = Field(description="their share")
-
-
-class FeedbackSummary(ReportModel):
-    """What ``koopdqn feedback show --json`` prints."""
-
-    answers: NonNegativeInt = Field(description="answers in the journals")
-    withdrawn: NonNegativeInt = Field(description="of these, withdrawn")
-    edited: NonNegativeInt = Field(description="of these, changed afterwards")
-    teachers: list[TeacherSummary] = Field(description="by teacher")
-    agreement: list[AgreementSummary] = Field(description="by pair of teachers who answered the same questions")
-
-
 _LINE: TypeAdapter[Line] = TypeAdapter(Line)
-
-
-@dataclass(frozen=True)
-class Opinion:
-    """What another teacher says to an answered question.
-
-    Attributes:
-        source: who says it.
-        right: the answer; None if skipped.
-        better: index of the action that would have been right, or None.
-    """
-
-    source: str
-    right: bool | None
-    better: int | None
+_KINDS: Final = ("answer", "undo", "edit", "drop", "opinion")
 
 
 @dataclass(frozen=True)
@@ -145,7 +97,7 @@ class Record:
         withdrawn: whether it was withdrawn later.
         edited: whether it was changed later.
         learned: whether the run had learned from it before it was changed.
-        opinions: of other teachers.
+        opinions: what other teachers say to its question.
     """
 
     line: AnswerLine
@@ -153,7 +105,7 @@ class Record:
     withdrawn: bool = False
     edited: bool = False
     learned: bool = False
-    opinions: tuple[Opinion, ...] = ()
+    opinions: tuple[OpinionLine, ...] = ()
 
     @property
     def answer(self) -> Answer:
@@ -166,14 +118,8 @@ class Record:
         line = self.line
         return Earlier(line.number, line.episode, line.step, line.action, line.right)
 
-    def fits(self, question: Question) -> bool:
-        """Return whether it answers this question."""
-        line = self.line
-        same = (line.episode, line.step, line.action) == (question.episode, question.step, question.action)
-        return same and np.array_equal(line.pose, question.pose)
 
-
-@dataclass(frozen=True)
+@dataclass
 class Records:
     """The content of a journal.
 
@@ -182,7 +128,7 @@ class Records:
         pending: how many answers were withdrawn after the last answer, for the next one to count.
     """
 
-    items: tuple[Record, ...] = ()
+    items: list[Record] = field(default_factory=list)
     pending: int = 0
 
     @property
@@ -194,6 +140,31 @@ class Records:
     def withdrawable(self) -> list[Record]:
         """The answers that an undo may withdraw: a skipped question taught nothing, so there is nothing to undo."""
         return [item for item in self.standing if item.line.right is not None]
+
+    def add(self, line: Line) -> None:
+        """Take in the next line, other than a drop; ValueError if it is out of order or of no answer."""
+        count = len(self.items)
+        if isinstance(line, AnswerLine):
+            if line.number != count:
+                raise ValueError(f"answers must be numbered in order, so {count} here, found {line.number}")
+            self.items.append(Record(line, self.pending))
+            self.pending = 0
+            return
+        if line.number >= count:
+            raise ValueError(f"number must be that of an answer before it, 0 to {count - 1}, found {line.number}")
+        item = self.items[line.number]
+        if isinstance(line, UndoLine):
+            latest = self.withdrawable[-1].line.number if self.withdrawable else None
+            if line.number != latest:
+                raise ValueError(f"an undo must withdraw the latest answer that stands, {latest}, found {line.number}")
+            item = replace(item, withdrawn=True)
+            self.pending += 1
+        elif isinstance(line, EditLine):
+            answer = item.line.model_copy(update={key: getattr(line, key) for key in ("right", "better", "source")})
+            item = replace(item, line=answer, edited=True, learned=item.learned or line.learned)
+        elif isinstance(line, OpinionLine):
+            item = replace(item, opinions=(*item.opinions, line))
+        self.items[line.number] = item
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
@@ -234,22 +205,18 @@ def read_records(path: Path) -> Records:
             continue
         try:
             line = _LINE.validate_python(item)
-            lines = _without_dropped(lines, line) if isinstance(line, DropLine) else [*lines, line]
-            # A dropped answer's own doings, such as what it withdrew, are best forgotten by starting over.
-            records = _together(lines) if isinstance(line, DropLine) else _APPLY[line.kind](records, line)
+            if isinstance(line, DropLine):
+                # A dropped answer's own doings, such as what it withdrew, are best forgotten by starting over.
+                lines, records = _without_dropped(lines, line), Records()
+                for kept in lines:
+                    records.add(kept)
+            else:
+                lines.append(line)
+                records.add(line)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            key = ".".join(str(part) for part in first["loc"][1:])
-            raise BadInputError(f"journal {path}: line {number}: {key}: {first['msg']}") from error
+            raise BadInputError(f"journal {path}: line {number}: {flaw(error, skip=1)}") from error
         except ValueError as error:
             raise BadInputError(f"journal {path}: line {number}: {error}") from error
-    return records
-
-
-def _together(lines: list[Line]) -> Records:
-    records = Records()
-    for line in lines:
-        records = _APPLY[line.kind](records, line)
     return records
 
 
@@ -263,80 +230,15 @@ def _without_dropped(lines: list[Line], drop: DropLine) -> list[Line]:
     return [*lines[:end], *later]
 
 
-def _answered(records: Records, line: AnswerLine) -> Records:
-    if line.number != len(records.items):
-        raise ValueError(f"answers must be numbered in order, so {len(records.items)} here, found {line.number}")
-    return Records((*records.items, Record(line, records.pending)))
-
-
-def _undone(records: Records, line: UndoLine) -> Records:
-    latest = records.withdrawable[-1].line.number if records.withdrawable else None
-    if line.number != latest:
-        raise ValueError(f"an undo must withdraw the latest answer that stands, {latest}, found {line.number}")
-    changed = _changed(records, line.number, withdrawn=True)
-    return replace(changed, pending=records.pending + 1)
-
-
-def _edited(records: Records, line: EditLine) -> Records:
-    before = _at(records, line.number)
-    answer = before.line.model_copy(update={"right": line.right, "better": line.better, "source": line.source})
-    return _changed(records, line.number, line=answer, edited=True, learned=before.learned or line.learned)
-
-
-def _opined(records: Records, line: OpinionLine) -> Records:
-    opinion = Opinion(line.source, line.right, line.better)
-    return _changed(records, line.number, opinions=(*_at(records, line.number).opinions, opinion))
-
-
-def _at(records: Records, number: int) -> Record:
-    if number >= len(records.items):
-        raise ValueError(f"number must be that of an answer before it, 0 to {len(records.items) - 1}, found {number}")
-    return records.items[number]
-
-
-def _changed(records: Records, number: int, **fields: Any) -> Records:
-    item = replace(_at(records, number), **fields)
-    return replace(records, items=(*records.items[:number], item, *records.items[number + 1 :]))
-
-
-_APPLY: dict[str, Callable[[Records, Any], Records]] = {
-    "answer": _answered,
-    "undo": _undone,
-    "edit": _edited,
-    "opinion": _opined,
-}
-_KINDS = (*_APPLY, "drop")
-
-
 JOURNAL = "feedback.jsonl"
 """Name of the journal in a run folder."""
-
-
-def answer_line(number: int, question: Question, answer: Answer) -> AnswerLine:
-    """Return an answer as its journal line."""
-    return AnswerLine(
-        kind="answer",
-        number=number,
-        episode=question.episode,
-        step=question.step,
-        pose=question.pose.tolist(),
-        start=question.start.tolist(),
-        action=question.action,
-        reached=question.reached.tolist(),
-        predicted=question.predicted.tolist(),
-        reason=question.reason,
-        right=answer.right,
-        better=answer.better,
-        source=answer.source,
-        seconds=answer.seconds,
-    )
 
 
 class JournalFile:
     """A journal, of answers or of keys, open for appending. Close it."""
 
     def __init__(self, path: Path) -> None:
-        """Open a journal, or begin one; a last line cut off by a crash goes.
+        """Open a journal for appending, or begin one; a last line cut off by a crash goes.
 
         Raises:
             BadInputError: the journal cannot be written.
@@ -356,121 +258,6 @@ class JournalFile:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-class JournalledOracle(Oracle):
-    """An oracle whose every answer is written down, and that gives written answers again instead of asking.
-
-    A run that is continued asks, from its checkpoint on, the very questions it asked before; those already
-    answered are taken from the journal in order, so that no one is asked twice.
-
-    Attributes:
-        questions: number of questions answered so far, from the journal or by asking.
-    """
-
-    def __init__(self, oracle: Oracle, path: Path, position: int) -> None:
-        """Open the journal at ``path`` for an oracle; the first ``position`` answers are in the checkpoint already.
-
-        Raises:
-            BadInputError: the journal cannot be written, is damaged, is shorter than the checkpoint says, or
-                was changed where the run has learned from it.
-        """
-        self.questions = position
-        self._oracle = oracle
-        self._path = path
-        self._progress = ""
-        records = read_records(path) if path.exists() else Records()
-        _check(path, records, position)
-        self._written = records.items
-        # Kept up to date rather than counted anew: a run may ask tens of thousands of questions.
-        self._earlier = [item.earlier for item in records.withdrawable]
-        self._pending = records.pending
-        self._file = JournalFile(path)
-
-    def answer(self, question: Question) -> Answer:
-        """Return the written answer, or ask, write the answer down and return it.
-
-        Raises:
-            BadInputError: the journal does not fit the run, or the oracle's answer is none.
-            PauseRequested: who answers wants to go on another time.
-        """
-        if self.questions < len(self._written):
-            answer = written_answer(self._written[self.questions], question, self._path)
-        else:
-            progress = question.progress or self._progress
-            answer = self._asked(replace(question, number=self.questions, progress=progress))
-        self.questions += 1
-        return answer
-
-    def learning(self, progress: str) -> None:
-        """Pass on how the learning goes, and keep it for the next question."""
-        self._progress = progress
-        self._oracle.learning(progress)
-
-    def close(self) -> None:
-        """Close the journal and the oracle."""
-        self._file.close()
-        self._oracle.close()
-
-    def _asked(self, question: Question) -> Answer:
-        while True:
-            answer = self._oracle.answer(replace(question, earlier=tuple(self._earlier)))
-            _check_answer(answer, len(self._earlier), question)
-            for _ in range(answer.undo):
-                self._file.append(_undo_line(self._earlier.pop(), question))
-            self._pending += answer.undo
-            if not answer.again:
-                break
-        line = answer_line(question.number, question, answer)
-        self._file.append(line)
-        record = Record(line, self._pending)
-        self._pending = 0
-        if line.right is not None:
-            self._earlier.append(record.earlier)
-        return record.answer
-
-
-def written_answer(record: Record, question: Question, path: Path) -> Answer:
-    """Return a written answer again.
-
-    Raises:
-        BadInputError: it is the answer to another question.
-    """
-    if not record.fits(question):
-        line = record.line
-        raise BadInputError(
-            f"journal {path}: answer {line.number} must be to the question the run asks (episode {question.episode},"
-            f" step {question.step}, action {question.action}), found episode {line.episode}, step {line.step}, action"
-            f" {line.action}; config, seed and every earlier answer must be those of the journal"
-        )
-    return record.answer
-
-
-def _check(path: Path, records: Records, position: int) -> None:
-    if len(records.items) < position:
-        raise BadInputError(f"journal {path}: must hold the {position} answers of the run, found {len(records.items)}")
-    late = [item.line.number for item in records.items[:position] if item.learned]
-    if late:
-        raise BadInputError(
-            f"journal {path}: answer {late[0]} must be the one the run has learned from, found it edited afterwards;"
-            " train anew with oracle=replay and this journal"
-        )
-
-
-def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None:
-    if not 0 <= answer.undo <= withdrawable:
-        raise BadInputError(f"undo: must be 0 to {withdrawable}, the answers that stand, found {answer.undo}")
-    if answer.better is not None and (answer.right is not True) == (answer.better == question.action):
-        raise BadInputError(
-            f"right: must be true exactly if the better action is the one asked about ({question.action}), found"
-            f" {answer.right} with better action {answer.better}"
-        )
-
-
-def _undo_line(item: Earlier, question: Question) -> UndoLine:
-    return UndoLine(
-        kind="undo", number=item.number, before=question.number, episode=question.episode, step=question.step
-    )
 
 
 def _cut_torn_line(path: Path) -> None:

@@ -2,36 +2,68 @@
 
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from statistics import median
+
+from pydantic import Field
 
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
 from koopdqn.oracles.journal import (
-    AgreementSummary,
+    AnswerLine,
     DropLine,
     EditLine,
-    FeedbackSummary,
     JournalFile,
     OpinionLine,
     Record,
     Records,
-    TeacherSummary,
     read_records,
 )
+from koopdqn.schema import ReportModel
+from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
+
+
+class TeacherSummary(ReportModel):
+    """What one teacher answered; withdrawn answers are left out."""
+
+    name: Name = Field(description="who answered")
+    answers: NonNegativeInt = Field(description="answers given")
+    right: NonNegativeInt = Field(description="of these, right")
+    wrong: NonNegativeInt = Field(description="of these, wrong")
+    skipped: NonNegativeInt = Field(description="of these, skipped")
+    better: NonNegativeInt = Field(description="of these, how many named the action that would have been right")
+    median_seconds: NonNegative = Field(description="median time of an answer [s]")
+
+
+class AgreementSummary(ReportModel):
+    """How far two teachers agree on the questions that both answered."""
+
+    one: Name = Field(description="one teacher")
+    other: Name = Field(description="the other")
+    questions: NonNegativeInt = Field(description="questions that both answered")
+    same: NonNegativeInt = Field(description="of these, how many alike")
+    share: Fraction = Field(description="their share")
+
+
+class FeedbackSummary(ReportModel):
+    """What ``koopdqn feedback show --json`` prints."""
+
+    answers: NonNegativeInt = Field(description="answers in the journals")
+    withdrawn: NonNegativeInt = Field(description="of these, withdrawn")
+    edited: NonNegativeInt = Field(description="of these, changed afterwards")
+    teachers: list[TeacherSummary] = Field(description="by teacher")
+    agreement: list[AgreementSummary] = Field(description="by pair of teachers who answered the same questions")
+
 
 _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wrong": False, "s": None, "skip": None}
 
 
-def parsed_answer(text: str, action: int) -> tuple[bool | None, int | None]:
-    """Return what a text answers to a question about an action: right, and the better action.
-
-    Raises:
-        BadInputError: it is no answer.
-    """
+def parse_answer(text: str, action: int) -> tuple[bool | None, int | None]:
+    """Return what a text answers to a question about an action: right, and the better action."""
     if text.isascii() and len(text) == 1 and text.isdecimal():
         return int(text) == action, int(text)
     if text.lower() not in _ANSWERS:
@@ -45,7 +77,7 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     Args:
         path: the journal.
         number: of the answer.
-        text: the new answer, as :func:`parsed_answer` reads it.
+        text: the new answer, as :func:`parse_answer` reads it.
         teacher: who changes it; None keeps who answered.
         learned: how many answers the run in the journal's folder has learned from.
         drop_later: whether all later answers no longer count.
@@ -60,36 +92,18 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     if records.items[number].withdrawn and not drop_later:
         raise BadInputError(f"number: must be that of an answer that stands, found {number}, which was withdrawn")
     line = records.items[number].line
-    right, better = parsed_answer(text, line.action)
-    file = JournalFile(path)
-    try:
-        file.append(
-            EditLine(
-                kind="edit",
-                number=number,
-                right=right,
-                better=better,
-                source=teacher or line.source,
-                learned=number < learned,
-            )
-        )
+    right, better = parse_answer(text, line.action)
+    source, late = teacher or line.source, number < learned
+    with closing(JournalFile(path)) as file:
+        file.append(EditLine(kind="edit", number=number, right=right, better=better, source=source, learned=late))
         if drop_later:
             file.append(DropLine(kind="drop", number=number))
-    finally:
-        file.close()
     return read_records(path).items[number]
 
 
 @dataclass(frozen=True)
 class Merged:
-    """What became of journals that were merged.
-
-    Attributes:
-        answers: in the new journal.
-        opinions: of other teachers on them.
-        changed: answers that the majority changed.
-        left_out: answers to questions that the first journal does not have.
-    """
+    """The answers of a merged journal, others' opinions on them, changes by the majority, and answers left out."""
 
     answers: int
     opinions: int
@@ -115,14 +129,9 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
     edits = [edit for number, said in found.items() if (edit := _by_majority(first.items[number], said)) is not None]
     with atomic_path(out) as temporary:
         shutil.copyfile(paths[0], temporary)
-        file = JournalFile(temporary)
-        try:
-            for line in [opinion for said in found.values() for opinion in said]:
+        with closing(JournalFile(temporary)) as file:
+            for line in [*chain.from_iterable(found.values()), *edits]:
                 file.append(line)
-            for change in edits:
-                file.append(change)
-        finally:
-            file.close()
     return Merged(len(first.items), sum(map(len, found.values())), len(edits), left_out)
 
 
@@ -160,13 +169,13 @@ def _key(item: Record) -> tuple[object, ...]:
     return item.line.episode, item.line.step, item.line.action, *item.line.pose
 
 
-def summarised(journals: Sequence[Records]) -> FeedbackSummary:
+def summarise(journals: Sequence[Records]) -> FeedbackSummary:
     """Return the figures of some journals together."""
     items = [item for records in journals for item in records.items]
-    standing = [item for records in journals for item in records.standing]
-    by_teacher: dict[str, list[Record]] = defaultdict(list)
+    standing = [item for item in items if not item.withdrawn]
+    by_teacher: dict[str, list[AnswerLine]] = defaultdict(list)
     for item in standing:
-        by_teacher[item.line.source].append(item)
+        by_teacher[item.line.source].append(item.line)
     return FeedbackSummary(
         answers=len(items),
         withdrawn=len(items) - len(standing),
@@ -204,8 +213,7 @@ def _voices(item: Record) -> Iterator[tuple[str, bool | None]]:
     yield item.line.source, item.line.right
 
 
-def _teacher(name: str, items: Iterable[Record]) -> TeacherSummary:
-    lines = [item.line for item in items]
+def _teacher(name: str, lines: Sequence[AnswerLine]) -> TeacherSummary:
     return TeacherSummary(
         name=name,
         answers=len(lines),

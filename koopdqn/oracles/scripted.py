@@ -27,12 +27,7 @@ class ScriptedOracleSettings(OracleSettings):
 
 @dataclass(frozen=True)
 class ScriptedOracle(Oracle):
-    """Says right if the reached pose is within tolerance of where the demonstrator would be.
-
-    Attributes:
-        task: whose demonstrator answers.
-        name: written to the journal as the source.
-    """
+    """Says right if the reached pose is within tolerance of where the task's demonstrator would be."""
 
     task: Task
     name: str = "scripted"
@@ -74,14 +69,7 @@ class ImperfectOracleSettings(OracleSettings):
 
 @dataclass(frozen=True)
 class ImperfectOracle(Oracle):
-    """Passes on another oracle's answers, some turned over, some kept back.
-
-    Attributes:
-        expert: whose answers these are.
-        wrong: probability that a given answer is turned over.
-        silent: probability that a question is skipped.
-        seed: of the chance.
-    """
+    """Passes on another oracle's answers: some are turned over, others skipped, each with its own probability."""
 
     expert: Oracle
     wrong: float

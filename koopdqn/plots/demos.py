@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,22 +10,13 @@ from matplotlib.axes import Axes
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.paths import arc_lengths
-from koopdqn.plots.style import (
-    MEANT,
-    VIEWS,
-    Image,
-    frame_projection,
-    picture,
-    project,
-    series_colours,
-    show_image,
-    two_planes,
-)
+from koopdqn.plots import style
 from koopdqn.pose import Array
+from koopdqn.robot.render import Image
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1080
-_MEANT_WIDTH = 1.4
+_WITHOUT_VARIATION: Final[dict[str, Any]] = {"color": style.MEANT, "linestyle": ":", "linewidth": 1.4}
 _SPEED_WINDOW_S = 0.1
 
 
@@ -43,67 +35,55 @@ def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, 
     """
     count = len(demonstrations)
     title = f"{count} demonstration{'s' if count != 1 else ''} of task {task.name} with {demonstrations.arm}"
-    with picture(path, title, WIDTH, HEIGHT) as figure:
+    with style.picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(1, 2, width_ratios=(1.45, 1))
-        left, right = grid[0], grid[1]
         if image is None:
-            places = left.subgridspec(2, 1)
+            places = grid[0].subgridspec(2, 1)
         else:
-            halves = left.subgridspec(2, 1, height_ratios=(1.55, 1))
+            halves = grid[0].subgridspec(2, 1, height_ratios=(1.55, 1))
             places = halves[1].subgridspec(1, 2)
-            show_image(
-                figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; demonstrated paths"
-            )
+            caption = "Arm at the goal, at the start as a ghost; demonstrated paths"
+            style.show_image(figure.add_subplot(halves[0]), image, caption)
         axes = [figure.add_subplot(cell) for cell in (places[0], places[1])]
-        planes = two_planes([item.poses[:, pose.POSITION] for item in demonstrations.items])
+        planes = style.two_planes([item.poses[:, pose.POSITION] for item in demonstrations.items])
         for plane, each in zip(planes, axes, strict=True):
             _projection(each, plane, demonstrations, task)
-            each.set_title(f"From {VIEWS[plane]}")
-        stack = right.subgridspec(4, 1)
-        rows = [figure.add_subplot(stack[0])]
-        rows += [figure.add_subplot(stack[i], sharex=rows[0]) for i in range(1, 4)]
-        for row in rows[:3]:
-            row.tick_params(labelbottom=False)
+            each.set_title(f"From {style.VIEWS[plane]}")
+        rows = list(grid[1].subgridspec(4, 1).subplots(sharex=True, squeeze=False)[:, 0])
         _components(rows, demonstrations, task)
         figure.align_ylabels(rows)
 
 
 def _projection(axes: Axes, plane: str, demonstrations: Demonstrations, task: Task) -> None:
     paths = [item.poses[:, pose.POSITION] for item in demonstrations.items]
-    for path, colour in zip(paths, series_colours(len(paths)), strict=True):
-        axes.plot(*project(path, plane), color=colour)
-    axes.plot(*project(task.nominal_path.points, plane), color=MEANT, linestyle=":", linewidth=_MEANT_WIDTH)
-    frame_projection(axes, plane, task, [*paths, task.nominal_path.points])
+    for path, colour in zip(paths, style.series_colours(len(paths)), strict=True):
+        axes.plot(*style.project(path, plane), color=colour)
+    axes.plot(*style.project(task.nominal_path.points, plane), **_WITHOUT_VARIATION)
+    style.frame_projection(axes, plane, task, [*paths, task.nominal_path.points])
     axes.legend(loc="best")
 
 
 def _components(axes: Sequence[Axes], demonstrations: Demonstrations, task: Task) -> None:
     """Draw x, y, z and speed, or the turn left to the goal where orientation is learned, over the path's share."""
-    items = demonstrations.items
-    colours = series_colours(len(items))
+    colours = style.series_colours(len(demonstrations))
     learned = task.orientation == "learned"
-    for index, (item, colour) in enumerate(zip(items, colours, strict=True)):
+    for index, (item, colour) in enumerate(zip(demonstrations.items, colours, strict=True)):
         share = _share(item.poses[:, pose.POSITION])
+        label = f"demonstration {index}" if len(set(colours)) > 1 else "demonstrations" if not index else None
         for i in range(3):
-            label = f"demonstration {index}" if len(set(colours)) > 1 else "demonstrations" if not index else None
             axes[i].plot(share, item.poses[:, i], color=colour, label=label)
-        if learned:
-            axes[3].plot(share, np.degrees(pose.rotation_distance(item.poses, task.goal)), color=colour)
-        else:
-            axes[3].plot(share, _speed(item), color=colour)
+        left = np.degrees(pose.rotation_distance(item.poses, task.goal))
+        axes[3].plot(share, left if learned else _speed(item), color=colour)
     meant = task.nominal_path.points
     for i in range(3):
-        axes[i].plot(
-            _share(meant), meant[:, i], color=MEANT, linestyle=":", linewidth=_MEANT_WIDTH, label="without variation"
-        )
+        axes[i].plot(_share(meant), meant[:, i], label="without variation", **_WITHOUT_VARIATION)
         axes[i].set_ylabel(f"{'xyz'[i]} [m]")
     axes[0].set_title("Flange along the path")
+    axes[0].legend(loc="best", ncols=2)
     axes[3].set_ylabel("turn left to goal [°]" if learned else "speed [m/s]")
     axes[3].set_ylim(bottom=0.0)
     axes[3].set_xlabel("share of the path travelled [%]")
     axes[3].set_xlim(0, 100)
-    handles, labels = axes[0].get_legend_handles_labels()
-    axes[0].legend(handles, labels, loc="best", ncols=2)
 
 
 def _share(positions: Array) -> Array:

@@ -1,6 +1,6 @@
 """The picture of ``koopdqn eval``: the learned paths beside the demonstrator's, and the policy beside the baselines."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,24 +10,12 @@ from matplotlib.ticker import PercentFormatter
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.evaluation.deviation import SAMPLES, deviations
-from koopdqn.plots.style import (
-    DEMONSTRATED,
-    GREY,
-    INK,
-    LEARNED,
-    MEANT,
-    RED,
-    VIEWS,
-    Image,
-    frame_projection,
-    picture,
-    project,
-    show_image,
-    two_planes,
-)
+from koopdqn.evaluation.evaluate import Evaluation
+from koopdqn.evaluation.metrics import SAMPLES, deviations
+from koopdqn.plots import style
 from koopdqn.pose import Array
-from koopdqn.tasks.rollout import SUCCESS, Episode
+from koopdqn.robot.render import Image
+from koopdqn.tasks.rollout import SUCCESS
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1180
@@ -38,77 +26,67 @@ _POLICY = "policy"
 
 
 def plot_evaluation(
-    path: Path,
-    report: Mapping[str, Any],
-    episodes: Sequence[Episode],
-    references: Sequence[Array],
-    demonstrations: Demonstrations,
-    task: Task,
-    image: Image | None,
-    compared: Sequence[Episode] | None = None,
+    path: Path, evaluation: Evaluation, demonstrations: Demonstrations, task: Task, image: Image | None
 ) -> None:
     """Draw an evaluation into a PNG.
 
     Args:
         path: the file.
-        report: the content of ``eval.json``.
-        episodes: the policy's.
-        references: (T, 7) for each compared episode: the demonstrator's own path from the same start, or the
-            held-out demonstration that begins there.
+        evaluation: the finished evaluation.
         demonstrations: what the policy was taught from.
         task: gives the start region and the goal.
         image: the scene with learned paths in it; None leaves its panel out.
-        compared: the episodes that references belong to; None: all of them.
 
     Raises:
         BadInputError: the file cannot be written.
     """
+    report = evaluation.report
     low, high = report["success_interval_95"]
     title = (
-        f"Task {task.name}: {report['success_rate']:.0%} of {len(episodes)} held-out starts succeed"
+        f"Task {task.name}: {report['success_rate']:.0%} of {len(evaluation.episodes)} held-out starts succeed"
         f" (95 % interval {low:.0%} to {high:.0%})"
     )
-    with picture(path, title, WIDTH, HEIGHT) as figure:
+    # Where demonstrations are held out, the references are theirs, and so are the starts of what is compared.
+    aside = report.get("holdout") is not None
+    with style.picture(path, title, WIDTH, HEIGHT) as figure:
         rows = figure.add_gridspec(2, 1, height_ratios=(1.45, 1) if image is not None else (1, 2))
-        halves = rows[0].subgridspec(1, 2, width_ratios=(1, 1.1))
-        if image is None:
-            curves, bars = halves[0], halves[1]
-        else:
-            right = halves[1].subgridspec(2, 1, height_ratios=(1, 1.35))
-            curves, bars = right[0], right[1]
-            show_image(figure.add_subplot(halves[0]), image, "Arm at the goal, at the start as a ghost; learned paths")
-        below = rows[1].subgridspec(1, 2)
-        views = [figure.add_subplot(below[i]) for i in range(2)]
-        aside = report.get("holdout") is not None
-        _deviation(figure.add_subplot(curves), episodes if compared is None else compared, references, aside)
-        planes = two_planes([item.poses[:, pose.POSITION] for item in demonstrations.items])
-        for axes, plane in zip(views, planes, strict=True):
-            shown = [*(compared or ()), *episodes] if aside else episodes
-            _projection(axes, plane, shown, references, demonstrations, task, aside)
-            axes.set_title(f"Learned and demonstrated paths, from {VIEWS[plane]}")
+        upper = rows[0].subgridspec(1, 2, width_ratios=(1, 1.1))
+        panels = upper
+        if image is not None:
+            panels = upper[1].subgridspec(2, 1, height_ratios=(1, 1.35))
+            caption = "Arm at the goal, at the start as a ghost; learned paths"
+            style.show_image(figure.add_subplot(upper[0]), image, caption)
+        views = rows[1].subgridspec(1, 2).subplots(squeeze=False)[0]
+        _deviation(figure.add_subplot(panels[0]), evaluation, aside)
+        demonstrated = [item.poses[:, pose.POSITION] for item in demonstrations.items]
+        for axes, plane in zip(views, style.two_planes(demonstrated), strict=True):
+            _projection(axes, plane, evaluation, demonstrated, task, aside)
+            axes.set_title(f"Learned and demonstrated paths, from {style.VIEWS[plane]}")
         handles, labels = views[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-        pair = bars.subgridspec(1, 2)
-        success = figure.add_subplot(pair[0])
-        _comparison(success, figure.add_subplot(pair[1], sharey=success), report)
+        success, distance = panels[1].subgridspec(1, 2).subplots(sharey=True, squeeze=False)[0]
+        _comparison(success, distance, report)
 
 
-def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Array], aside: bool) -> None:
+def _deviation(axes: Axes, evaluation: Evaluation, aside: bool) -> None:
     """Draw the distance from the references over the path's share: median and spread over episodes."""
-    moved = [(e.poses, r) for e, r in zip(episodes, references, strict=True) if e.steps]
+    moved = [(e.poses, r) for e, r in zip(evaluation.compared, evaluation.references, strict=True) if e.steps]
     axes.set_xlabel("share of the path travelled [%]")
     axes.set_ylabel("deviation [mm]")
     title = "Deviation from held-out demonstrations" if aside else "Deviation from the demonstrator's own path"
     axes.set_title(f"{title}, same start")
     axes.set_xlim(0, 100)
     if not moved:
-        why = "no episode made a step" if episodes else "no demonstration is held out"
-        axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=RED)
+        why = "no episode made a step" if evaluation.compared else "no demonstration is held out"
+        axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=style.RED)
         return
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
     share = np.linspace(0, 100, SAMPLES)
     highest = 1e-6
-    for values, colour, name in ((apart.matched, LEARNED, "matched by arc length"), (apart.lateral, RED, "sideways")):
+    for values, colour, name in (
+        (apart.matched, style.LEARNED, "matched by arc length"),
+        (apart.lateral, style.RED, "sideways"),
+    ):
         low, median, high = np.percentile(values * _MM, [5, 50, 95], axis=0)
         axes.fill_between(share, low, high, color=colour, alpha=0.16, lw=0, label=f"{name}, 5–95 %")
         axes.plot(share, median, color=colour, label=f"{name}, median")
@@ -119,44 +97,37 @@ def _deviation(axes: Axes, episodes: Sequence[Episode], references: Sequence[Arr
 
 
 def _projection(
-    axes: Axes,
-    plane: str,
-    episodes: Sequence[Episode],
-    references: Sequence[Array],
-    demonstrations: Demonstrations,
-    task: Task,
-    aside: bool,
+    axes: Axes, plane: str, evaluation: Evaluation, demonstrated: list[Array], task: Task, aside: bool
 ) -> None:
-    demonstrated = [item.poses[:, pose.POSITION] for item in demonstrations.items]
+    episodes = [*evaluation.compared, *evaluation.episodes] if aside else evaluation.episodes
     learned = [episode.poses[:, pose.POSITION] for episode in episodes[:_SHOWN]]
-    meant = [reference[:, pose.POSITION] for reference in references[:_SHOWN]]
-    styles = (
-        (meant, MEANT, ":", 1.0, "held out" if aside else "demonstrator, same starts", 2.2),
-        (learned, LEARNED, "-", 1.1, "learned", 2.1),
-        (demonstrated, DEMONSTRATED, "-", 1.3, "demonstrations", 2.0),
-    )
-    for paths, colour, style, width, label, order in styles:
+    meant = [reference[:, pose.POSITION] for reference in evaluation.references[:_SHOWN]]
+    for paths, colour, dashes, width, label, order in (
+        (meant, style.MEANT, ":", 1.0, "held out" if aside else "demonstrator, same starts", 2.2),
+        (learned, style.LEARNED, "-", 1.1, "learned", 2.1),
+        (demonstrated, style.DEMONSTRATED, "-", 1.3, "demonstrations", 2.0),
+    ):
         for index, path in enumerate(paths):
             shown = f"{label} ({len(paths)})" if not index else None
-            axes.plot(*project(path, plane), color=colour, linestyle=style, linewidth=width, label=shown, zorder=order)
+            points = style.project(path, plane)
+            axes.plot(*points, color=colour, linestyle=dashes, linewidth=width, label=shown, zorder=order)
     ends = [e.poses[-1:, pose.POSITION] for e in episodes[:_SHOWN] if e.outcome != SUCCESS]
     if ends:
-        axes.plot(
-            *project(np.concatenate(ends), plane), linestyle="", marker="x", color=RED, label="failed here", zorder=5
-        )
-    frame_projection(axes, plane, task, [*demonstrated, *learned])
+        points = style.project(np.concatenate(ends), plane)
+        axes.plot(*points, linestyle="", marker="x", color=style.RED, label="failed here", zorder=5)
+    style.frame_projection(axes, plane, task, [*demonstrated, *learned])
 
 
 def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> None:
     """Draw success and deviation of the policy and of each baseline as bars."""
     methods: dict[str, Mapping[str, Any]] = {_POLICY: report, **(report["baselines"] or {})}
     rows = np.arange(len(methods))
-    colours = [LEARNED if name == _POLICY else GREY for name in methods]
+    colours = [style.LEARNED if name == _POLICY else style.GREY for name in methods]
     rates = np.array([method["success_rate"] for method in methods.values()], dtype=float)
     intervals = np.array([method["success_interval_95"] for method in methods.values()], dtype=float)
     success.barh(rows, rates, color=colours, height=0.62)
     whiskers = np.clip([rates - intervals[:, 0], intervals[:, 1] - rates], 0.0, None)
-    success.errorbar(rates, rows, xerr=whiskers, fmt="none", ecolor=INK, elinewidth=1.2, capsize=2)
+    success.errorbar(rates, rows, xerr=whiskers, fmt="none", ecolor=style.INK, elinewidth=1.2, capsize=2)
     for row, (rate, top) in enumerate(zip(rates, intervals[:, 1], strict=True)):
         _value(success, max(rate, top), row, f"{rate:.0%}")
     success.set_xlim(0, 1.3)
@@ -180,7 +151,7 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
         longest = max(longest, reach)
         distance.barh(row, mean, color=colour, height=0.62)
         if worst is not None:
-            distance.plot(worst, row, marker="|", markersize=9, markeredgewidth=2, color=INK)
+            distance.plot(worst, row, marker="|", markersize=9, markeredgewidth=2, color=style.INK)
         _value(distance, reach, row, f"{mean:.1f}")
     distance.tick_params(labelleft=False)
     distance.set_xlim(0, 1.35 * longest)
@@ -191,4 +162,4 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
 
 
 def _value(axes: Axes, place: float, row: int, text: str) -> None:
-    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=7.5, color=INK)
+    axes.annotate(text, (place, row), (6, 0), textcoords="offset points", va="center", fontsize=7.5, color=style.INK)

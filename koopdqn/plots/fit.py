@@ -1,6 +1,5 @@
 """The picture of ``koopdqn fit``: how well the intent model predicts, where it is trusted, and its eigenvalues."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,29 +15,12 @@ from koopdqn.intent.box import Box
 from koopdqn.intent.fit import Fitted, agent_steps
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
-from koopdqn.plots.style import (
-    ASK,
-    BLUE,
-    DEMONSTRATED,
-    GREY,
-    INK,
-    ORANGE,
-    PALE,
-    PLANES,
-    RED,
-    SKY,
-    TRUST,
-    VIEWS,
-    frame_projection,
-    picture,
-    project,
-    two_planes,
-)
+from koopdqn.plots import style
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1060
-_MM = 1e3
+_MM, _DEGREE = 1e3, float(np.degrees(1.0))
 _OUTSIDE = 5e-5
 """By how much an eigenvalue is over 1 before it shows in four decimals."""
 
@@ -66,25 +48,27 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
     if turns:
         title += f", {np.degrees(report['one_step_error_rad']['rms']):.2g}°"
     trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
-    with picture(path, title, WIDTH, HEIGHT) as figure:
+    with style.picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 6, height_ratios=(1, 1.15))
         if measured:
             cells = grid[0, :4].subgridspec(2 if turns else 1, 1)
             upper = figure.add_subplot(cells[0])
-            _position_errors(upper, fitted, task, room=1.9 if turns else 1.45)
+            _errors(upper, fitted, "m", _MM, task.position_tolerance_m, room=1.9 if turns else 1.45)
+            upper.set_title("Held-out one-step error: each demonstration predicted by the others")
             if turns:
-                _rotation_errors(figure.add_subplot(cells[1], sharex=upper), fitted, task)
+                lower = figure.add_subplot(cells[1], sharex=upper)
+                _errors(lower, fitted, "rad", _DEGREE, task.rotation_tolerance_rad, room=1.6)
                 upper.tick_params(labelbottom=False)
                 upper.set_xlabel("")
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
         rollouts = _roll_outs(fitted, trajectories, task)
-        planes = two_planes([trajectory[:, pose.POSITION] for trajectory in trajectories])
+        planes = style.two_planes([trajectory[:, pose.POSITION] for trajectory in trajectories])
         for place, plane in zip((grid[row, :2], grid[row, 2:4]), planes, strict=True):
             axes = figure.add_subplot(place)
             corners = _tube(axes, fitted.trust, plane)
             _paths(axes, plane, trajectories, rollouts, corners, task)
-            axes.set_title(f"Rolled out from each start, from {VIEWS[plane]}")
+            axes.set_title(f"Rolled out from each start, from {style.VIEWS[plane]}")
             if plane == planes[0]:
                 figure.legend(handles=_path_handles(axes, fitted.trust), loc="outside lower center", ncols=6)
         if not measured:
@@ -95,72 +79,57 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         first.set_title("Held-out error by component")
         first.legend(loc="upper right", ncols=2)
         if turns:
-            _components(figure.add_subplot(bars[1]), report["one_step_error_rad"], float(np.degrees(1)), "error [°]")
+            _components(figure.add_subplot(bars[1]), report["one_step_error_rad"], _DEGREE, "error [°]")
 
 
-def _position_errors(axes: Axes, fitted: Fitted, task: Task, room: float) -> None:
-    lines = [
-        (task.position_tolerance_m * _MM, INK, "--", "compare tolerance"),
-    ]
-    paper = fitted.report["sixty_samples"]["paper_max_m"]
-    if paper is not None:
-        lines.append((paper * _MM, GREY, ":", "largest in the paper"))
-    _errors(axes, fitted, fitted.report["one_step_error_per_step_m"], _MM, lines, "mm", room)
-    axes.legend(loc="upper center", ncols=3)
-    axes.set_ylabel("one-step error [mm]")
-    axes.set_title("Held-out one-step error: each demonstration predicted by the others")
+def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: float, room: float) -> None:
+    """Draw mean and largest error per step, the compare tolerance and what the paper reports.
 
-
-def _rotation_errors(axes: Axes, fitted: Fitted, task: Task) -> None:
-    degree = float(np.degrees(1.0))
-    lines = [
-        (task.rotation_tolerance_rad * degree, INK, "--", "compare tolerance"),
-    ]
-    _errors(axes, fitted, fitted.report["one_step_error_per_step_rad"], degree, lines, "°", room=1.6)
-    axes.set_ylabel("one-step error [°]")
-    handles, labels = axes.get_legend_handles_labels()
-    # The rest is in the panel above.
-    axes.legend(handles[-len(lines) :], labels[-len(lines) :], loc="upper center", ncols=2)
-
-
-def _errors(
-    axes: Axes,
-    fitted: Fitted,
-    per_step: dict[str, list[float]],
-    scale: float,
-    lines: Sequence[tuple[float, str, str, str]],
-    unit: str,
-    room: float,
-) -> None:
-    """Draw mean and largest error per step, and horizontal lines (value, colour, style, meaning).
-
-    The vertical axis reaches ``room`` times higher than what is drawn, for the legend.
+    Args:
+        axes: to draw on.
+        fitted: gives the errors.
+        kind: "m" or "rad".
+        scale: of these in what is shown, millimetres or degrees.
+        tolerance: to compare poses [m or rad].
+        room: the vertical axis reaches this many times higher than what is drawn, for the legend.
     """
+    unit = {"m": "mm", "rad": "°"}[kind]
+    lines = [(tolerance * scale, style.INK, "--", "compare tolerance")]
+    paper = fitted.report["sixty_samples"]["paper_max_m"] if kind == "m" else None
+    if paper is not None:
+        lines.append((paper * scale, style.GREY, ":", "largest in the paper"))
+    per_step = fitted.report[f"one_step_error_per_step_{kind}"]
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
-    highest = max(line[0] for line in lines)
     shade(axes, ~fitted.trust.known, len(mean))
-    axes.plot(mean, color=BLUE, label="mean over demonstrations")
-    axes.plot(largest, color=SKY, linewidth=1.0, label="largest")
-    for value, colour, style, meaning in lines:
-        axes.axhline(value, color=colour, linestyle=style, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
+    axes.plot(mean, color=style.BLUE, label="mean over demonstrations")
+    axes.plot(largest, color=style.SKY, linewidth=1.0, label="largest")
+    for value, colour, dashes, meaning in lines:
+        axes.axhline(value, color=colour, linestyle=dashes, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
     axes.set_xlim(0, len(mean))
     # The worst few errors are cut off rather than flattening the rest.
-    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), highest))
+    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), max(line[0] for line in lines)))
     axes.set_xlabel("step of the demonstration")
+    axes.set_ylabel(f"one-step error [{unit}]")
+    handles, labels = axes.get_legend_handles_labels()
+    # In the panel of turns only what the panel above it does not say.
+    first = 0 if kind == "m" else -len(lines)
+    axes.legend(handles[first:], labels[first:], loc="upper center", ncols=3 if kind == "m" else 2)
 
 
 def shade(axes: Axes, asked: np.ndarray, steps: int) -> None:
     """Shade the places (S,) at which the expert is asked, spread over the steps."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], asked, [False]]).astype(int))) * steps / len(asked)
     for index, (start, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-        axes.axvspan(start, end, color=ASK, lw=0, label=None if index else "the expert is asked", zorder=0)
+        axes.axvspan(start, end, color=style.ASK, lw=0, label=None if index else "the expert is asked", zorder=0)
 
 
 def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
     models = fitted.model.matrices.items()
-    matrices = [(name, model.matrix, colour) for (name, model), colour in zip(models, (BLUE, ORANGE), strict=False)]
+    matrices = [
+        (name, model.matrix, colour) for (name, model), colour in zip(models, (style.BLUE, style.ORANGE), strict=False)
+    ]
     angle = np.linspace(0, 2 * np.pi, 361)
-    axes.plot(np.cos(angle), np.sin(angle), color=GREY, linewidth=1.0, label="unit circle")
+    axes.plot(np.cos(angle), np.sin(angle), color=style.GREY, linewidth=1.0, label="unit circle")
     reach = 1.0
     for name, matrix, colour in matrices:
         values = np.linalg.eigvals(matrix)
@@ -174,7 +143,7 @@ def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
                     linestyle="",
                     marker=marker,
                     markersize=6,
-                    color=colour if marker == "o" else RED,
+                    color=colour if marker == "o" else style.RED,
                     markeredgecolor="white",
                     markeredgewidth=0.5,
                     label=f"{name}: {int(chosen.sum())} {label}, largest {np.abs(values[chosen]).max():.4f}",
@@ -199,14 +168,14 @@ def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Ar
 def _tube(axes: Axes, trust: TrustDomain, plane: str) -> Array:
     """Draw the trust domain at every place, in another colour where the model errs; return its corners (M, 3)."""
     middle, width = _extent(trust)
-    i, j = PLANES[plane]
+    i, j = style.PLANES[plane]
     if isinstance(trust, Tube):
         angle = np.linspace(0, 2 * np.pi, 49)
         edge = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     else:
         edge = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     outlines = middle[:, None, [i, j]] + edge * width[:, None, [i, j]]
-    for chosen, colour, order in ((~trust.known, ASK, 1.0), (trust.known, TRUST, 1.1)):
+    for chosen, colour, order in ((~trust.known, style.ASK, 1.0), (trust.known, style.TRUST, 1.1)):
         drawn = PolyCollection(list(outlines[chosen]), facecolors=colour, edgecolors="none", zorder=order)
         axes.add_collection(drawn, autolim=False)
     return np.concatenate([middle - width, middle + width])
@@ -234,20 +203,20 @@ def _paths(
 ) -> None:
     demonstrated = [trajectory[:, pose.POSITION] for trajectory in trajectories]
     for path in demonstrated:
-        axes.plot(*project(path, plane), color=DEMONSTRATED, linewidth=1.2, zorder=2)
+        axes.plot(*style.project(path, plane), color=style.DEMONSTRATED, linewidth=1.2, zorder=2)
     for path in rollouts:
-        axes.plot(*project(path, plane), color=BLUE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
-    frame_projection(axes, plane, task, [*demonstrated, corners])
+        axes.plot(*style.project(path, plane), color=style.BLUE, linewidth=1.2, linestyle=(0, (4, 2)), zorder=3)
+    style.frame_projection(axes, plane, task, [*demonstrated, corners])
 
 
 def _path_handles(axes: Axes, trust: TrustDomain) -> list[Any]:
     handles: list[Patch | Line2D] = [
-        Line2D([], [], color=DEMONSTRATED, label="demonstration"),
-        Line2D([], [], color=BLUE, linestyle=(0, (4, 2)), label="intent, rolled out"),
-        Patch(color=TRUST, label=_named(trust)),
+        Line2D([], [], color=style.DEMONSTRATED, label="demonstration"),
+        Line2D([], [], color=style.BLUE, linestyle=(0, (4, 2)), label="intent, rolled out"),
+        Patch(color=style.TRUST, label=_named(trust)),
     ]
     if not trust.known.all():
-        handles.append(Patch(color=ASK, label="too few rewards right: ask"))
+        handles.append(Patch(color=style.ASK, label="too few rewards right: ask"))
     existing, _ = axes.get_legend_handles_labels()
     return [*handles, *existing]
 
@@ -256,11 +225,11 @@ def _components(axes: Axes, error: dict[str, dict[str, float]], scale: float, la
     names = list(error["rms_per_component"])
     rms, largest = (np.array([error[f"{k}_per_component"][n] for n in names]) * scale for k in ("rms", "max"))
     place = np.arange(len(names))
-    axes.bar(place - 0.2, rms, 0.38, color=BLUE, label="RMS")
-    axes.bar(place + 0.2, largest, 0.38, color=PALE, label="largest")
+    axes.bar(place - 0.2, rms, 0.38, color=style.BLUE, label="RMS")
+    axes.bar(place + 0.2, largest, 0.38, color=style.PALE, label="largest")
     for x, value in (*zip(place - 0.2, rms, strict=True), *zip(place + 0.2, largest, strict=True)):
         text = f"{value:.2g}" if value >= 1e-3 else "0"
-        axes.annotate(text, (x, value), (0, 2), textcoords="offset points", ha="center", fontsize=9, color=INK)
+        axes.annotate(text, (x, value), (0, 2), textcoords="offset points", ha="center", fontsize=9, color=style.INK)
     axes.set_xticks(place, [name.replace("_", " ") for name in names])
     axes.set_ylim(0, 1.45 * max(float(largest.max()), 1e-6))
     axes.grid(False, axis="x")

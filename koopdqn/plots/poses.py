@@ -25,8 +25,9 @@ from koopdqn.plots.style import (
     two_planes,
 )
 from koopdqn.pose import Array
-from koopdqn.robot.render import Ghost, Line, Sphere, View, choose_view, fitted_view, render
+from koopdqn.robot.render import Camera, Ghost, Line, Sphere
 from koopdqn.robot.scene import Scene
+from koopdqn.robot.view import View, choose_view, fitted_view
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 840, 760
@@ -60,7 +61,8 @@ def plot_poses(path: Path, scene: Scene, item: Demonstration, view: View, title:
         lines += [Line(np.array([origin, end]), rgba(colour), 0.0025) for end, colour in ends]
     marks = [Sphere(item.poses[stop, pose.POSITION], rgba(INK), 0.008) for stop in stops]
     ghosts = [Ghost(joints[stop], 0.45) for stop in stops[:-1]]
-    image = render(scene, joints[-1], view, SIZE, lines, marks, ghosts)
+    with Camera(scene, SIZE) as camera:
+        image = camera.picture(joints[-1], view, lines, marks, ghosts)
     with picture(path, title, WIDTH, HEIGHT) as figure:
         show_image(figure.subplots(), image, "")
         handles = [

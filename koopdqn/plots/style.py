@@ -12,14 +12,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
 from koopdqn import pose
 from koopdqn.files import atomic_path
 from koopdqn.pose import Array
+from koopdqn.robot.render import Camera, Ghost, Image, Line
+from koopdqn.robot.scene import Scene
+from koopdqn.robot.view import choose_view
 from koopdqn.tasks.task import Task
-
-Image = NDArray[np.uint8]
 
 DPI: Final = 120
 
@@ -158,23 +158,11 @@ def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Arr
     center, half = task.nominal_start[pose.POSITION], np.array(task.start_half_range_m)
     corner = (float(center[i] - half[i]), float(center[j] - half[j]))
     size = (float(2 * half[i]), float(2 * half[j]))
-    axes.add_patch(
-        Rectangle(
-            corner, *size, fill=False, edgecolor=GREY, linestyle="--", linewidth=1.2, label="start region", zorder=4
-        )
-    )
+    region: dict[str, Any] = {"fill": False, "edgecolor": GREY, "linestyle": "--", "linewidth": 1.2, "zorder": 4}
+    axes.add_patch(Rectangle(corner, *size, label="start region", **region))
     goal = task.goal[pose.POSITION]
-    axes.plot(
-        goal[i],
-        goal[j],
-        marker="*",
-        markersize=13,
-        color=INK,
-        markeredgecolor="white",
-        linestyle="",
-        label="goal",
-        zorder=6,
-    )
+    star: dict[str, Any] = {"marker": "*", "markersize": 13, "color": INK, "markeredgecolor": "white", "zorder": 6}
+    axes.plot(goal[i], goal[j], linestyle="", label="goal", **star)
     inside = np.concatenate([*positions, [center - half, center + half, goal]])[:, [i, j]]
     low, high = inside.min(axis=0), inside.max(axis=0)
     margin = 0.06 * float((high - low).max())
@@ -195,3 +183,28 @@ def project(positions: Array, plane: str) -> tuple[Array, Array]:
     """Return the two coordinates (N,), (N,) [m] of positions (N, 3) that a projection shows."""
     i, j = PLANES[plane]
     return positions[:, i], positions[:, j]
+
+
+def draw_motion(
+    scene: Scene,
+    joints: Array,
+    paths: Sequence[Array],
+    colours: Sequence[str] | None = None,
+    size: tuple[int, int] = (900, 720),
+) -> Image:
+    """Return a picture (height, width, 3) of the arm at a motion's end, its start as a ghost, and of paths beside it.
+
+    Args:
+        scene: the arm and what stands around it.
+        joints: joint angles (N, 6) [rad] along the motion.
+        paths: flange positions (T, 3) [m] to draw.
+        colours: of the paths; None takes those of :func:`series_colours`.
+        size: width and height [pixels].
+
+    Raises:
+        WorkFailedError: OpenGL does not work here.
+    """
+    colours = series_colours(len(paths)) if colours is None else colours
+    lines = [Line(path, rgba(colour)) for path, colour in zip(paths, colours, strict=True)]
+    with Camera(scene, size) as camera:
+        return camera.picture(joints[-1], choose_view(scene, joints, size), lines, ghosts=[Ghost(joints[0])])

@@ -1,4 +1,4 @@
-"""The picture of ``koopdqn train``: when it was learned, what was gathered, and who gave the rewards."""
+"""The picture of ``koopdqn train``: when it was learned, the rewards of episodes, and who gave them."""
 
 from pathlib import Path
 from typing import Any
@@ -8,14 +8,20 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import EngFormatter, PercentFormatter
 
 from koopdqn.intent.reward import RULE, SOURCES
-from koopdqn.plots.style import BLUE, GREEN, GREY, INK, LEARNED, ORANGE, PALE, RED, SKY, picture
+from koopdqn.plots import style
 from koopdqn.pose import Array
 from koopdqn.rl.history import History
 
 WIDTH, HEIGHT = 1560, 900
 WINDOW = 25
 """Episodes in the running mean."""
-_SOURCE_COLOURS = {"rule": GREY, "trusted": GREEN, "asked": ORANGE, "remembered": SKY, "certified": BLUE}
+_SOURCE_COLOURS = {
+    "rule": style.GREY,
+    "trusted": style.GREEN,
+    "asked": style.ORANGE,
+    "remembered": style.SKY,
+    "certified": style.BLUE,
+}
 
 
 def plot_training(path: Path, history: History, report: dict[str, Any]) -> None:
@@ -34,7 +40,7 @@ def plot_training(path: Path, history: History, report: dict[str, Any]) -> None:
         f"Training on task {report['task']}: {verdict}, {report['env_steps']:,} actions tried,"
         f" {report['episodes']:,} episodes, {report['oracle_queries']:,} questions asked"
     )
-    with picture(path, title, WIDTH, HEIGHT) as figure:
+    with style.picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 6)
         _success(figure.add_subplot(grid[0, :4]), history, report["learned_at_env_steps"])
         _rewards_given(figure.add_subplot(grid[0, 4:]), history)
@@ -46,9 +52,11 @@ def plot_training(path: Path, history: History, report: dict[str, Any]) -> None:
 def _success(axes: Axes, history: History, learned_at: int | None) -> None:
     steps = [check.env_steps for check in history.checks]
     rates = [check.success_rate for check in history.checks]
-    axes.plot(steps, rates, color=LEARNED, marker="o", markersize=5, label="success on held-out starts")
+    axes.plot(steps, rates, color=style.LEARNED, marker="o", markersize=5, label="success on held-out starts")
     if learned_at is not None:
-        axes.axvline(learned_at, color=GREEN, linewidth=1.5, linestyle="--", label=f"learned at {learned_at:,} actions")
+        axes.axvline(
+            learned_at, color=style.GREEN, linewidth=1.5, linestyle="--", label=f"learned at {learned_at:,} actions"
+        )
     axes.set_ylim(-0.04, 1.04)
     axes.set_xlim(left=0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -63,11 +71,10 @@ def _rewards(axes: Axes, history: History) -> None:
     rewards = np.array(history.rewards, dtype=float)
     exploring = np.array(history.exploring, dtype=bool)
     number = np.arange(1, len(rewards) + 1)
-    groups = (
-        (exploring, PALE, GREY, "short, exploring"),
-        (~exploring, SKY, BLUE, "whole"),
-    )
-    for chosen, dot, line, label in groups:
+    for chosen, dot, line, label in (
+        (exploring, style.PALE, style.GREY, "short, exploring"),
+        (~exploring, style.SKY, style.BLUE, "whole"),
+    ):
         if chosen.any():
             axes.plot(number[chosen], rewards[chosen], linestyle="", marker=".", markersize=5, color=dot, label=label)
         if chosen.sum() >= WINDOW:
@@ -91,7 +98,7 @@ def running_mean(values: Array) -> Array:
 
 def _loss(axes: Axes, history: History) -> None:
     updates = [check.updates for check in history.checks]
-    axes.plot(updates, history.losses, color=BLUE, marker="o", markersize=4, label="mean since the last check")
+    axes.plot(updates, history.losses, color=style.BLUE, marker="o", markersize=4, label="mean since the last check")
     if any(loss > 0 for loss in history.losses):
         axes.set_yscale("log")
         axes.grid(True, which="minor", axis="y", linewidth=0.4)
@@ -108,7 +115,12 @@ def _rewards_given(axes: Axes, history: History) -> None:
     total = max(sum(counts), 1)
     for row, count in enumerate(counts):
         axes.annotate(
-            f"{count:,} ({count / total:.2%})", (count, row), (5, 0), textcoords="offset points", va="center", color=INK
+            f"{count:,} ({count / total:.2%})",
+            (count, row),
+            (5, 0),
+            textcoords="offset points",
+            va="center",
+            color=style.INK,
         )
     axes.set_xlim(0, 1.75 * max(*counts, 1))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
@@ -124,8 +136,8 @@ def _agreement(axes: Axes, history: History) -> None:
     for row, (name, share) in enumerate(shares.items()):
         axes.barh(row, share or 0.0, color=_SOURCE_COLOURS[name], height=0.6)
         text = "none given" if share is None else f"{share:.1%}"
-        axes.annotate(text, (1.0, row), (5, 0), textcoords="offset points", va="center", color=INK)
-    axes.axvline(1.0, color=GREY, linewidth=1.0)
+        axes.annotate(text, (1.0, row), (5, 0), textcoords="offset points", va="center", color=style.INK)
+    axes.axvline(1.0, color=style.GREY, linewidth=1.0)
     axes.set_yticks(range(len(shares)), list(shares))
     axes.set_xlim(0, 1.4)
     axes.set_xticks([0, 0.25, 0.5, 0.75, 1.0])
@@ -140,4 +152,4 @@ def _legend_or_note(axes: Axes, anything: bool, note: str) -> None:
     if anything:
         axes.legend(loc="best")
     else:
-        axes.text(0.5, 0.5, note, transform=axes.transAxes, ha="center", va="center", color=RED)
+        axes.text(0.5, 0.5, note, transform=axes.transAxes, ha="center", va="center", color=style.RED)

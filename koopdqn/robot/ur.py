@@ -8,8 +8,8 @@ Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013), and of the maker's 
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from typing import Final, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,33 +24,26 @@ TURN: Final = 2.0 * math.pi
 _LIMIT_SLACK: Final = 1e-9
 """How far [rad] rounding may push an angle beyond its limit; it is then set onto the limit."""
 
-Six = tuple[float, float, float, float, float, float]
-"""Joint angles [rad]."""
-Seven = tuple[float, float, float, float, float, float, float]
-"""A pose: x, y, z [m] and the unit quaternion w, x, y, z."""
+Scalars = tuple[float, ...]
+"""Joint angles (6,) [rad], or a pose (7,): x, y, z [m] and the unit quaternion w, x, y, z. Faster than arrays here."""
 
 
-def pose_scalars(pose: ArrayLike) -> Seven:
+def pose_scalars(pose: ArrayLike) -> Scalars:
     """Return the seven numbers of a pose, its quaternion scaled to unit length."""
-    array = np.asarray(pose, dtype=float)
-    if array.shape != (7,):
-        raise ValueError(f"a pose must have shape (7,), found {array.shape}")
-    x, y, z, qw, qx, qy, qz = array.tolist()
+    x, y, z, qw, qx, qy, qz = _scalars(pose, 7, "a pose", "")
     length = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-    if not (math.isfinite(x + y + z + length) and length > 1e-12):
-        raise ValueError(f"a pose must be finite and its quaternion longer than 1e-12, found {array.tolist()}")
+    if length <= 1e-12:
+        raise ValueError(f"a pose must have a quaternion longer than 1e-12, found {[qw, qx, qy, qz]}")
     return x, y, z, qw / length, qx / length, qy / length, qz / length
 
 
-def joint_scalars(joints: ArrayLike) -> Six:
-    """Return the six numbers of a joint vector."""
-    array = np.asarray(joints, dtype=float)
-    if array.shape != (6,):
-        raise ValueError(f"joints must have shape (6,), found {array.shape}")
-    q1, q2, q3, q4, q5, q6 = array.tolist()
-    if not math.isfinite(q1 + q2 + q3 + q4 + q5 + q6):
-        raise ValueError(f"joints must be finite, found {array.tolist()} rad")
-    return q1, q2, q3, q4, q5, q6
+def _scalars(values: ArrayLike, count: int, name: str, unit: str) -> Scalars:
+    array = np.asarray(values, dtype=float)
+    if array.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},), found {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, found {array.tolist()}{unit}")
+    return tuple(array.tolist())
 
 
 def unwrapped(angle: float, near: float, lower: float, upper: float) -> float | None:
@@ -81,7 +74,7 @@ def unwrapped_batch(
     return np.clip(angles, low, high), within
 
 
-def residuals(reached: Seven, target: Seven) -> tuple[float, float]:
+def _residuals(reached: Sequence[float], target: Sequence[float]) -> tuple[float, float]:
     """Return the distance [m] and the rotation angle [rad] between two poses, as in :mod:`koopdqn.pose`."""
     _, _, _, aw, ax, ay, az = reached
     _, _, _, bw, bx, by, bz = target
@@ -96,8 +89,6 @@ _REACH_SLACK: Final = 1e-9
 """How far rounding may push the argument of an arc cosine beyond ±1."""
 _SINGULAR_SINE: Final = 1e-7
 """|sin q5| below which the axes of joints 4 and 6 count as parallel, and q6 is the seed's."""
-
-_Number = TypeVar("_Number", float, Array)
 
 
 class URArm(Settings):
@@ -167,8 +158,7 @@ class URArm(Settings):
         joints = np.asarray(joints, dtype=float)
         if joints.ndim == 0 or joints.shape[-1] != 6:
             raise ValueError(f"joints must have shape (..., 6), found {joints.shape}")
-        q1, q2, q3, q4, q5, q6 = np.moveaxis(joints, -1, 0)
-        return np.stack(self._flange(q1, q2, q3, q4, q5, q6, np.cos, np.sin), axis=-1)
+        return np.stack(self._flange(np.moveaxis(joints, -1, 0), np.cos, np.sin), axis=-1)
 
     def inverse(self, pose: ArrayLike, seed: ArrayLike) -> InverseResult:
         """Return the joint angles that bring the flange to ``pose`` (7,) in Base, nearest ``seed`` (6,) [rad].
@@ -187,36 +177,23 @@ class URArm(Settings):
         Raises:
             ValueError: the pose or the seed has a wrong shape, is not finite, or the quaternion has no length.
         """
-        target = pose_scalars(pose)
-        near = joint_scalars(seed)
-        lower, upper = self.joint_lower, self.joint_upper
+        target, near = pose_scalars(pose), _joint_scalars(seed)
         misses: list[float] = []
-        best: list[float] | None = None
-        best_step = best_norm = math.inf
-        for branch in self._branches(target, near, misses):
-            step = norm = 0.0
-            joints: list[float] = []
-            for angle, start, low, high in zip(branch, near, lower, upper, strict=True):
-                nearest = unwrapped(angle, start, low, high)
-                if nearest is None:
-                    break
-                joints.append(nearest)
-                difference = abs(nearest - start)
-                if difference > step:
-                    if difference > best_step:
-                        break
-                    step = difference
-                norm += difference * difference
-            else:
-                if step < best_step or norm < best_norm:
-                    best, best_step, best_norm = joints, step, norm
-        reason = self._why_not(target, near, misses) if best is None else ""
-        q1, q2, q3, q4, q5, q6 = near if best is None else best
-        reached = self._flange(q1, q2, q3, q4, q5, q6, math.cos, math.sin)
-        answer = np.array((q1, q2, q3, q4, q5, q6))
+        found = self._within_limits(target, near, misses)
+        best = min(found, key=lambda joints: _effort(joints, near), default=None)
+        answer = np.array(near if best is None else best)
         answer.setflags(write=False)
-        position, rotation = residuals(reached, target)
+        position, rotation = _residuals(self._flange(best or near, math.cos, math.sin), target)
+        reason = self._why_not(target, near, misses) if best is None else ""
         return InverseResult(answer, position, rotation, best is not None, reason)
+
+    def _within_limits(self, target: Scalars, near: Scalars, misses: list[float]) -> Iterator[list[float]]:
+        """Yield the joints of every branch that is within the limits, unwrapped to lie nearest ``near``."""
+        for branch in self._branches(target, near, misses):
+            candidates = map(unwrapped, branch, near, self.joint_lower, self.joint_upper)
+            joints = [angle for angle in candidates if angle is not None]
+            if len(joints) == 6:
+                yield joints
 
     def inverse_batch(self, poses: ArrayLike, seeds: ArrayLike) -> Array:
         """Return for each of N poses (N, 7) in Base the joint angles that :meth:`inverse` finds from its seed (N, 6).
@@ -256,28 +233,14 @@ class URArm(Settings):
         Raises:
             ValueError: the pose or the seed has a wrong shape, is not finite, or the quaternion has no length.
         """
-        near = self.home if seed is None else joint_scalars(seed)
-        found: list[list[float]] = []
-        for branch in self._branches(pose_scalars(pose), near, []):
-            candidates = map(unwrapped, branch, near, self.joint_lower, self.joint_upper)
-            joints = [angle for angle in candidates if angle is not None]
-            if len(joints) == 6:
-                found.append(joints)
+        near = self.home if seed is None else _joint_scalars(seed)
+        found = list(self._within_limits(pose_scalars(pose), near, []))
         found.sort(key=lambda joints: max(abs(angle - start) for angle, start in zip(joints, near, strict=True)))
         return np.array(found).reshape(-1, 6)
 
-    def _flange(
-        self,
-        q1: _Number,
-        q2: _Number,
-        q3: _Number,
-        q4: _Number,
-        q5: _Number,
-        q6: _Number,
-        cos: Callable[[_Number], _Number],
-        sin: Callable[[_Number], _Number],
-    ) -> tuple[_Number, _Number, _Number, _Number, _Number, _Number, _Number]:
+    def _flange(self, joints: Iterable[Any], cos: Callable[[Any], Any], sin: Callable[[Any], Any]) -> tuple[Any, ...]:
         """Return x, y, z [m] and the quaternion w, x, y, z of the flange, for numbers and for arrays alike."""
+        q1, q2, q3, q4, q5, q6 = joints
         q23 = q2 + q3
         q234 = q23 + q4
         c1, s1, c234, s234, c5, s5 = cos(q1), sin(q1), cos(q234), sin(q234), cos(q5), sin(q5)
@@ -294,7 +257,7 @@ class URArm(Settings):
         w, x, y, z = w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s
         return c1 * x1 + s1 * z1, s1 * x1 - c1 * z1, self.d1 + y1, w, x, y, z
 
-    def _branches(self, target: Seven, near: Six, misses: list[float]) -> Iterator[Six]:
+    def _branches(self, target: Scalars, near: Scalars, misses: list[float]) -> Iterator[Scalars]:
         """Yield every branch of the inverse, angles not yet unwrapped; where q5 is singular, q6 follows ``near``.
 
         Each branch whose wrist the elbow cannot reach adds the wrist's distance from the shoulder [m] to ``misses``.
@@ -399,7 +362,7 @@ class URArm(Settings):
         ]
         return math.copysign(max(min(bounds), min(max(bounds), abs(angle))), angle) - angle
 
-    def _why_not(self, target: Seven, near: Six, misses: list[float]) -> str:
+    def _why_not(self, target: Scalars, near: Scalars, misses: list[float]) -> str:
         """Return why no branch will do: the limit that stops the nearest one, or what is out of reach."""
         broken: list[tuple[float, str]] = []
         for branch in self._branches(target, near, []):
@@ -435,7 +398,7 @@ def _within_one(cosines: Array) -> Array:
     return np.where(np.abs(cosines) <= 1.0 + _REACH_SLACK, np.clip(cosines, -1.0, 1.0), np.nan)
 
 
-def _wrist_centre(target: Seven, d6: float) -> tuple[float, float, float]:
+def _wrist_centre(target: Scalars, d6: float) -> tuple[float, float, float]:
     """Return the point d6 behind the flange [m], where the axes of joints 5 and 6 meet."""
     px, py, pz, w, x, y, z = target
     return (
@@ -443,3 +406,13 @@ def _wrist_centre(target: Seven, d6: float) -> tuple[float, float, float]:
         py - d6 * 2.0 * (y * z - w * x),
         pz - d6 * (1.0 - 2.0 * (x * x + y * y)),
     )
+
+
+def _joint_scalars(joints: ArrayLike) -> Scalars:
+    return _scalars(joints, 6, "joints", " rad")
+
+
+def _effort(joints: Sequence[float], near: Scalars) -> tuple[float, float]:
+    """Return the largest step [rad] of a joint from others, and the sum of the squares of all."""
+    steps = [abs(angle - start) for angle, start in zip(joints, near, strict=True)]
+    return max(steps), sum(step * step for step in steps)

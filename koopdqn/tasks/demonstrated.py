@@ -18,7 +18,7 @@ from koopdqn.tasks.task import Task
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
 
-Turning = Literal["held", "geodesic", "free"]
+RotationType = Literal["held", "geodesic", "free"]
 """What a task made from demonstrations does with orientation."""
 
 # A start this many goal tolerances from the goal is no start; the region may hold the goal where starts spread wide.
@@ -32,7 +32,7 @@ class DemonstratedTask(Task):
     not among them and are given by :meth:`shown`.
     """
 
-    turning: Turning = Field(
+    turning: RotationType = Field(
         description="held: the goal's orientation all the way, as demonstrated; geodesic: the demonstrated turn is"
         " learned; free: orientation was demonstrated but is no part of the task, and the goal's is kept"
     )

@@ -108,16 +108,24 @@ class Reachability:
 
     def follow(self, poses: Array) -> tuple[Array | None, str]:
         """Return the joint angles (N, 6) [rad] along poses (N, 7), or None and the reason why there are none."""
-        motion = self.enter(poses[0])
-        path = []
+        joints, motion = self.follow_as_far(poses)
+        return (np.array(joints), "") if motion.joints is not None else (None, motion.reason)
+
+    def follow_as_far(self, poses: Array, joints: Array | None = None) -> tuple[list[Array], Motion]:
+        """Return the joint angles (6,) [rad] along poses (N, 7) as far as the arm can follow, and its last motion.
+
+        Args:
+            poses: to follow; where the last motion is refused, it was to the pose after those that were reached.
+            joints: at the first pose; None enters it.
+        """
+        motion = self.enter(poses[0]) if joints is None else Motion(joints)
+        path: list[Array] = []
         for pose in poses[1:]:
             if motion.joints is None:
                 break
             path.append(motion.joints)
             motion = self.move(pose, motion.joints)
-        if motion.joints is None:
-            return None, motion.reason
-        return np.array([*path, motion.joints]), ""
+        return ([*path, motion.joints] if motion.joints is not None else path), motion
 
     def flange_poses(self, joints: Array) -> Array:
         """Return the flange's poses (N, 7) at joint angles (N, 6) [rad], by MuJoCo."""

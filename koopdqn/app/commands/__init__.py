@@ -1,7 +1,7 @@
 """What the commands do with a composed config: one function each, from config and run folder to a result."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError, unknown_name
@@ -9,18 +9,16 @@ from koopdqn.errors import BadInputError, unknown_name
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-# Inputs of other commands; given to this one they would change nothing.
-_FOREIGN_INPUTS = {
-    "demo": ("demos", "intent_file"),
-    "fit": ("run", "intent_file"),
-    "eval": ("demos", "intent_file"),
-    "report": ("run", "demos", "intent_file"),
-    "import": ("run", "intent_file"),
-    "export": ("run", "intent_file"),
+_COMMANDS: Final = {
+    "demo": ("demonstrations.demo", ("demos", "intent_file")),
+    "fit": ("fit.run", ("run", "intent_file")),
+    "train": ("train.run", ()),
+    "eval": ("eval.run", ("demos", "intent_file")),
+    "report": ("report.run", ("run", "demos", "intent_file")),
+    "import": ("demonstrations.import_", ("run", "intent_file")),
+    "export": ("demonstrations.export", ("run", "intent_file")),
 }
-COMMANDS = ("demo", "fit", "train", "eval", "report", "import", "export")
-# Where a command's name cannot be a module's.
-_MODULES = {"import": "import_demonstrations", "export": "export_demonstrations"}
+"""Where each command is, and the inputs of others that would change nothing here."""
 
 
 def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
@@ -30,8 +28,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         BadInputError: the config, or a file it names, breaks a rule.
         WorkFailedError: the work itself failed.
     """
-    if command not in COMMANDS:
-        raise unknown_name("command", command, COMMANDS)
+    if command not in _COMMANDS:
+        raise unknown_name("command", command, _COMMANDS)
     import logging
     import sys
     import warnings
@@ -41,15 +39,17 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
-    from koopdqn.app.commands.stages import with_task
+    from koopdqn.app.commands.pipeline import with_task
 
     settings = Configuration.load(config)
-    for key in _FOREIGN_INPUTS.get(command, ()):
+    place, foreign = _COMMANDS[command]
+    for key in foreign:
         value = getattr(settings.inputs, key)
         if value is not None:
-            name = "intent" if key == "intent_file" else key
             found = ", ".join(value) if isinstance(value, tuple) else str(value)
-            raise BadInputError(f"{name}: koopdqn {command} reads no such file or folder, found {found!r}")
+            raise BadInputError(
+                f"{key.removesuffix('_file')}: koopdqn {command} reads no such file or folder, found {found!r}"
+            )
     with warnings.catch_warnings():
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
@@ -58,7 +58,6 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
             # The run that eval measures holds its demonstrations; the others keep them in their own folder.
             holds = (settings.inputs.run or folder) if command == "eval" else folder
             settings = with_task(settings, holds, keep=command != "eval")
-        result: CommandResult = import_module(f"koopdqn.app.commands.{_MODULES.get(command, command)}").run(
-            settings, folder
-        )
+        module, _, function = place.partition(".")
+        result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result

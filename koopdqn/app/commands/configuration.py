@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.errors import BadInputError, unknown_name
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.evaluate import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings
@@ -23,6 +23,8 @@ from koopdqn.settings import NonNegativeInt, PathText, Settings, Sources, load_s
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
 
+# Groups whose options name the class of their settings; the other sections have one class each.
+_GROUPS = ("intent", "trust", "oracle", "agent", "robot")
 # What may change between two parts of one run without changing what either does.
 _WHEN_TO_STOP = ("stop", "extend", "max_steps", "max_episodes")
 
@@ -66,11 +68,7 @@ class Configuration:
 
     @property
     def task(self) -> Task:
-        """The task.
-
-        Raises:
-            BadInputError: it is made from demonstrations, and nothing was made yet.
-        """
+        """The task; BadInputError if it is made from demonstrations and nothing was made yet."""
         if self.derived is not None:
             return self.derived.task
         if isinstance(self.chosen, Task):
@@ -87,35 +85,20 @@ class Configuration:
             BadInputError: a key is unknown, or a value is of the wrong type or breaks a rule.
         """
         content = plain(config)
-        polymorphic: dict[str, type] = {
-            "task": TaskChoice,
-            "intent": IntentSettings,
-            "trust": TrustSettings,
-            "oracle": OracleSettings,
-            "agent": AgentSettings,
-            "robot": Arm,
-        }
-        fixed: dict[str, type[Settings]] = {
-            "demo": DemoSettings,
-            "fit": FitSettings,
-            "reward": RewardSettings,
-            "feedback": FeedbackSettings,
-            "train": TrainSettings,
-            "eval": EvaluationSettings,
-            "report": ReportSettings,
-            "export": ExportSettings,
-        }
-        own = set(Inputs.model_fields)
-        known = own | set(polymorphic) | set(fixed) | {"person"}
+        own, kinds = set(Inputs.model_fields), get_type_hints(cls)
+        sections = {key: kind for key, kind in kinds.items() if key not in ("inputs", "chosen", "derived")}
+        known = own | set(sections) | {"task", "person"}
         for key in content:
             if key not in known:
                 raise unknown_name("key", key, known)
         # The task holds the person; here mistakes are told by the key under which they were made.
         load_settings(content.get("person"), Person, "person")
         parts: dict[str, Any] = {"inputs": validate({key: content.get(key) for key in own}, Inputs)}
-        parts |= {key: load_settings(content.get(key), base, key) for key, base in polymorphic.items()}
-        parts |= {key: validate(content.get(key), model, key) for key, model in fixed.items()}
-        return cls(chosen=parts.pop("task"), **parts)
+        parts["chosen"] = load_settings(content.get("task"), TaskChoice, "task")
+        for key, kind in sections.items():
+            node = content.get(key)
+            parts[key] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
+        return cls(**parts)
 
     def shaped_by(self) -> dict[str, Any]:
         """Return what decides a training run's bytes: no path, no date, no answer source, no stopping rule."""

@@ -1,11 +1,13 @@
 """``koopdqn eval``: measure a trained run on held-out starts."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import RenderableType
 
 from koopdqn import console
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.train import POLICY, REPORT
 from koopdqn.app.result import CommandResult
@@ -18,10 +20,13 @@ from koopdqn.pose import POSITION
 from koopdqn.settings import shown
 from koopdqn.tasks.rollout import SUCCESS
 
+if TYPE_CHECKING:
+    from rich.table import Table
+
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
-    from koopdqn.evaluation.evaluate import evaluate, holdout_table, table, work_units
+    from koopdqn.evaluation.evaluate import evaluate, work_units
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
@@ -31,14 +36,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
     policy, about = read_policy(source / POLICY, config.task)
-    demonstrations = stages.demonstrations_of(config, source)
-    intent = read_intent(source / stages.INTENT, config.task)
+    demonstrations = pipeline.demonstrations_of(config, source)
+    intent = read_intent(source / pipeline.INTENT, config.task)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     for name, sha in made_from.items():
         if about["made_from"][name] != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     step_limit = _step_limit(source / REPORT)
-    workcell = stages.open_scene(config)
+    workcell = pipeline.open_scene(config)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
@@ -48,35 +53,25 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             config.eval,
             step_limit,
             stage.advance,
-            stages.held_out_of(config),
+            pipeline.held_out_of(config),
         )
     content = {**evaluation.report, "run": str(source)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
-    shown = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
+    drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
     paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
-    image = stages.picture(workcell.scene, shown.joints, paths, [LEARNED] * len(paths))
-    plot_evaluation(
-        folder / "eval.png",
-        report,
-        evaluation.episodes,
-        evaluation.references,
-        demonstrations,
-        config.task,
-        image,
-        evaluation.compared,
-    )
+    image = pipeline.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
+    plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
         table(report),
-        *([holdout_table(report)] if report["holdout"] else []),
+        *([_holdout_table(report)] if report["holdout"] else []),
         f"report          {console.shown_path(folder / 'eval.json')}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
-    if (source / "train.png").exists():
-        lines.append(f"training curve  {console.shown_path(source / 'train.png')}")
-    if (source / "fit.png").exists():
-        lines.append(f"fit errors      {console.shown_path(source / 'fit.png')}")
+    for name, file in (("training curve", "train.png"), ("fit errors", "fit.png")):
+        if (source / file).exists():
+            lines.append(f"{name:<14}  {console.shown_path(source / file)}")
     return CommandResult(report, lines, objective=report["success_rate"])
 
 
@@ -86,3 +81,53 @@ def _step_limit(path: Path) -> int:
     if not isinstance(limit, int) or limit < 1:
         raise BadInputError(f"{path}: step_limit must be a whole number above 0, found {shown(limit)}")
     return limit
+
+
+def table(report: dict[str, Any]) -> "Table":
+    """Return the content of ``eval.json`` as a table of one row per method, the policy first."""
+    return _methods(
+        ("method", "success", "deviation", "sideways", "failures"),
+        {name: _cells(method) for name, method in {"policy": report, **(report["baselines"] or {})}.items()},
+        title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}",
+        caption="deviation: mean and 95th percentile of the largest, points matched by arc length",
+    )
+
+
+def _holdout_table(report: dict[str, Any]) -> "Table":
+    """Return the section ``holdout`` of ``eval.json`` as a table of one row per method, the policy first."""
+    holdout, rows = report["holdout"], {}
+    for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
+        success, *rest = _cells(method)
+        apart = np.array(holdout["hausdorff_mm"][name])
+        rows[name] = [success, f"{np.median(apart):.1f} / {apart.max():.1f}", *rest]
+    return _methods(
+        ("method", "success", "Hausdorff", "deviation", "sideways", "failures"),
+        rows,
+        title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
+        caption="Hausdorff in mm: the farthest from the held-out demonstration, median and largest",
+    )
+
+
+def _methods(headings: tuple[str, ...], rows: dict[str, list[str]], **words: str) -> "Table":
+    from rich import box
+
+    cells = [[name.replace("_", " "), *row] for name, row in rows.items()]
+    made = console.table(headings, cells, ("method", "failures"), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), **words)
+    for column in made.columns[:-1]:
+        column.no_wrap = True
+    return made
+
+
+def _cells(method: dict[str, Any]) -> list[str]:
+    deviation, (low, high) = method["path_deviation_mm"], method["success_interval_95"]
+    causes = sorted(((count, cause) for cause, count in method["failures"].items() if count), reverse=True)
+    return [
+        f"{method['success_rate']:.0%} ({100 * low:.0f}–{100 * high:.0f})",
+        f"{_number(deviation['mean'], 1)} / {_number(deviation['p95_of_max'], 0)} mm",
+        f"{_number(method['lateral_deviation_mm']['mean'], 1)} mm",
+        ", ".join(f"{count} {cause.replace('_', ' ')}" for count, cause in causes) or "none",
+    ]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"

@@ -1,42 +1,33 @@
 """``koopdqn fit``: fit the human intent model and its trust domain."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
-from rich.table import Table
 
 from koopdqn import console
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.deviation import hausdorff_mm
+from koopdqn.evaluation.metrics import hausdorff_mm
 from koopdqn.intent.fit import Fitted
 from koopdqn.tasks.workcell import Workcell
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Fit to given or new demonstrations; write ``intent.npz``, ``fit.json`` and ``fit.png``."""
-    workcell = stages.open_scene(config)
-    demonstrations = stages.demonstrations_for(config, workcell, folder)
-    _, fitted = stages.fitted_intent(config, demonstrations, folder, _fresh(config, workcell))
+    workcell = pipeline.open_scene(config)
+    demonstrations = pipeline.demonstrations_for(config, workcell, folder)
+    _, fitted = pipeline.fitted_intent(config, demonstrations, folder, _fresh(config, workcell))
     report = fitted.report
     title = f"Intent {config.intent.name} on task {config.task.name}"
-    table = Table(title=title + (", one demonstration left out at a time" if report["demonstrations"] > 1 else ""))
-    table.add_column("measure")
-    table.add_column("value", justify="right")
-    for name, value in (
-        *_error_rows(report),
-        *_model_rows(report),
-        *_trust_rows(report),
-        *_held_out_rows(config, fitted),
-    ):
-        table.add_row(name, value)
-    lines: list[RenderableType] = [table]
+    title += ", one demonstration left out at a time" if report["demonstrations"] > 1 else ""
+    rows = [*_rows(report), *_held_out_rows(config, fitted)]
+    lines: list[RenderableType] = [console.table(("measure", "value"), rows, ("measure",), title=title)]
     if report["demonstrations"] == 1:
         lines.append(
             "one demonstration: none can be left out, so no error is measured and the tube has a fixed radius without"
@@ -48,7 +39,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             f" {report['converging_share']:.1%} of the starts only"
         )
     lines += [
-        f"intent   {console.shown_path(folder / stages.INTENT)}",
+        f"intent   {console.shown_path(folder / pipeline.INTENT)}",
         f"report   {console.shown_path(folder / 'fit.json')}",
         f"picture  {console.shown_path(folder / 'fit.png')}",
     ]
@@ -70,58 +61,39 @@ def _fresh(config: Configuration, workcell: Workcell) -> Demonstrations | None:
             f"fit.seed must differ from seed, or fresh demonstrations would be the old ones, found {config.fit.seed}"
         )
     settings = config.demo.model_copy(update={"count": config.fit.fresh})
-    with console.stage("Demonstrating afresh", settings.count) as stage:
-        generated = generate(
-            config.task, workcell.reachability, settings, config.fit.seed, lambda done: stage.advance()
-        )
-    return generated.demonstrations
+    return pipeline.generated("Demonstrating afresh", workcell, settings, config.fit.seed).demonstrations
 
 
-def _error_rows(report: dict[str, Any]) -> list[tuple[str, str]]:
-    if report["demonstrations"] == 1:
-        return []
-    one_step, sixty, roll_out = report["one_step_error_m"], report["sixty_samples"], report["roll_out_error_m"]
-    return [
-        ("one-step error, RMS", f"{one_step['rms'] * 1e3:.3f} mm"),
-        ("one-step error, largest", f"{one_step['max'] * 1e3:.3f} mm"),
-        ("at 60 samples: RMS over persistence (predicting no motion)", f"{sixty['rms_over_persistence']:.3f}"),
-        ("at 60 samples: largest error (the paper: 2.3 mm)", f"{sixty['max_m'] * 1e3:.2f} mm"),
-        ("rolled out: goal reached", f"{roll_out['reached_goal']} of {report['demonstrations']}"),
-        ("rolled out: median Hausdorff distance", f"{roll_out['median_hausdorff'] * 1e3:.1f} mm"),
-    ]
-
-
-def _model_rows(report: dict[str, Any]) -> list[tuple[str, str]]:
-    rows = [
-        ("comes to the goal from the demonstrated region", f"{report['converging_share']:.0%}"),
-        ("comes to the goal from three times wider", f"{report['converging_share_wide']:.0%}"),
-        ("spectral radius of K", f"{report['spectral_radius']:.5f}"),
-    ]
-    if len(report["regularisation"]) > 1:
-        rows.insert(0, (f"ridge chosen among {len(report['regularisation'])}", f"{report['ridge']:.0e}"))
-    return rows
-
-
-def _trust_rows(report: dict[str, Any]) -> list[tuple[str, str]]:
+def _rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     trust = report["trust"]
-    rows = []
+    if report["demonstrations"] > 1:
+        one_step, sixty, roll_out = report["one_step_error_m"], report["sixty_samples"], report["roll_out_error_m"]
+        yield "one-step error, RMS", f"{one_step['rms'] * 1e3:.3f} mm"
+        yield "one-step error, largest", f"{one_step['max'] * 1e3:.3f} mm"
+        yield "at 60 samples: RMS over persistence (predicting no motion)", f"{sixty['rms_over_persistence']:.3f}"
+        yield "at 60 samples: largest error (the paper: 2.3 mm)", f"{sixty['max_m'] * 1e3:.2f} mm"
+        yield "rolled out: goal reached", f"{roll_out['reached_goal']} of {report['demonstrations']}"
+        yield "rolled out: median Hausdorff distance", f"{roll_out['median_hausdorff'] * 1e3:.1f} mm"
+    if len(report["regularisation"]) > 1:
+        yield f"ridge chosen among {len(report['regularisation'])}", f"{report['ridge']:.0e}"
+    yield "comes to the goal from the demonstrated region", f"{report['converging_share']:.0%}"
+    yield "comes to the goal from three times wider", f"{report['converging_share_wide']:.0%}"
+    yield "spectral radius of K", f"{report['spectral_radius']:.5f}"
     if trust["radius_m"] is not None:
-        rows.append(("tube: median radius", f"{trust['radius_m'] * 1e3:.1f} mm"))
+        yield "tube: median radius", f"{trust['radius_m'] * 1e3:.1f} mm"
     if trust["nominal_coverage"] is not None:
-        rows.append(("tube: nominal coverage of whole demonstrations", f"{trust['nominal_coverage']:.1%}"))
+        yield "tube: nominal coverage of whole demonstrations", f"{trust['nominal_coverage']:.1%}"
     if trust["measured_coverage"] is not None:
-        name = f"measured coverage of {trust['fresh']} fresh demonstrations"
-        rows.append((name, f"{trust['measured_coverage']:.1%}"))
+        yield f"measured coverage of {trust['fresh']} fresh demonstrations", f"{trust['measured_coverage']:.1%}"
     if trust["held_out_state_coverage"] is not None:
-        rows.append(("held-out states in the trust domain", f"{trust['held_out_state_coverage']:.1%}"))
-        rows.append(("held-out demonstrations in it from end to end", f"{trust['held_out_path_coverage']:.1%}"))
-    rows.append(("demonstrated steps that no action matches", f"{report['unmatched_share']:.1%}"))
-    return rows
+        yield "held-out states in the trust domain", f"{trust['held_out_state_coverage']:.1%}"
+        yield "held-out demonstrations in it from end to end", f"{trust['held_out_path_coverage']:.1%}"
+    yield "demonstrated steps that no action matches", f"{report['unmatched_share']:.1%}"
 
 
 def _held_out_rows(config: Configuration, fitted: Fitted) -> list[tuple[str, str]]:
     """Return how the intent, rolled out from the starts of demonstrations it has not seen, compares with them."""
-    aside = stages.held_out_of(config)
+    aside = pipeline.held_out_of(config)
     if not aside:
         return []
     ends, apart = [], []

@@ -6,13 +6,14 @@ from time import monotonic
 from typing import Any
 
 from koopdqn import console
-from koopdqn.app.commands import stages
+from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
 from koopdqn.files import write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
-from koopdqn.oracles.journal import JOURNAL, JournalledOracle
+from koopdqn.oracles.journal import JOURNAL
+from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
@@ -35,9 +36,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     began = monotonic()
     config.oracle.check()
     check_memory(config.agent, size(config.task))
-    workcell = stages.open_scene(config)
-    demonstrations = stages.demonstrations_for(config, workcell, folder)
-    intent = stages.intent_for(config, demonstrations, folder)
+    workcell = pipeline.open_scene(config)
+    demonstrations = pipeline.demonstrations_for(config, workcell, folder)
+    intent = pipeline.intent_for(config, demonstrations, folder)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by)
@@ -158,7 +159,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
 
 
 def _cut_short(trainer: Trainer) -> list[str]:
-    """Return what to say of a training that went on past learned, but less far than it was asked to."""
+    """Return a remark if training went on past "learned" but less far than ``train.extend`` asks."""
     settings = trainer.settings
     if settings.stop == "learned" or not trainer.learned:
         return []

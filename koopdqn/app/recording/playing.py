@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.app.recording.settings import DemoSettings
+from koopdqn.app.recording import DemoSettings
 from koopdqn.demonstrations.dataset import Demonstration, continuous
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import at_arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Motion, Reachability
+from koopdqn.tasks.reachability import Reachability
 
 _HALVINGS = 3
 """How often the rounding is halved where the arm cannot follow it, before it is left out."""
@@ -18,10 +18,10 @@ _SAME_SECONDS = 1e-9
 
 
 def seconds_along(path: Array, settings: DemoSettings) -> Array:
-    """Return when each pose (N, 7) of a path is passed (N,) [s].
+    """Return the times (N,) [s] at which the poses (N, 7) of a path are passed.
 
-    The flange moves with ``speed_m_s``; a turn of ``turn_rad`` takes as long as a move of ``step_m``. How long
-    the person thought in between has no part in it.
+    The flange moves with ``speed_m_s``; a turn of ``turn_rad`` takes as long as a move of ``step_m``. Pauses of
+    the person count for nothing.
     """
     moved = pose.position_distance(path[1:], path[:-1])
     turned = pose.rotation_distance(path[1:], path[:-1])
@@ -30,13 +30,13 @@ def seconds_along(path: Array, settings: DemoSettings) -> Array:
     return np.concatenate([[0.0], np.cumsum(way)]) / settings.speed_m_s
 
 
-def samples_of(path: Array, settings: DemoSettings) -> int:
+def sample_count(path: Array, settings: DemoSettings) -> int:
     """Return how many samples a path (N, 7) has when it is played, rounded off."""
-    return len(_played(overlapped(path, settings), settings, settings.keyboard.rounding_m)[0])
+    return len(_played(overlap_turns(path, settings), settings, settings.keyboard.rounding_m)[0])
 
 
-def played(path: Array, joints: Array, settings: DemoSettings, reachability: Reachability) -> tuple[Demonstration, str]:
-    """Return a recorded path as a demonstration, and an empty text or why it is rounded off less than wished.
+def play(path: Array, joints: Array, settings: DemoSettings, reachability: Reachability) -> tuple[Demonstration, str]:
+    """Return a recorded path as a demonstration, and why its corners are rounded less than set; empty if they are not.
 
     Keys make stairs along the axes and turn in place, as no hand does. A turn is played during the move that follows
     it, and a Hann window of ``rounding_m`` that slides along the way rounds off the corners of the positions, which
@@ -53,27 +53,24 @@ def played(path: Array, joints: Array, settings: DemoSettings, reachability: Rea
         WorkFailedError: the arm cannot follow the path at that speed; the message says why.
     """
     rounding = settings.keyboard.rounding_m
-    both = overlapped(path, settings)
+    both = overlap_turns(path, settings)
     less = [rounding * 0.5**halving for halving in range(1, _HALVINGS + 1)] if rounding > 0 else []
     first = ""
     for poses, each in (*((both, width) for width in (rounding, *less, 0.0)), (path, 0.0)):
         times, wanted = _played(poses, settings, each)
-        angles, refused = _followed(wanted, joints, reachability)
-        if angles is not None:
-            return Demonstration(times, reachability.flange_poses(angles), angles), first
-        first = first or refused
+        angles, motion = reachability.follow_as_far(wanted, joints)
+        if motion.joints is not None:
+            followed = np.array(angles)
+            return Demonstration(times, reachability.flange_poses(followed), followed), first
+        first = first or f"{motion.reason}: {motion.detail}"
     raise WorkFailedError(first)
 
 
-def overlapped(path: Array, settings: DemoSettings) -> Array:
+def overlap_turns(path: Array, settings: DemoSettings) -> Array:
     """Return a path (M, 7) whose turns are made during the moves that follow them; those after the last stay.
 
     A turn begins with the move and goes on at the rate of one ``turn_rad`` a ``step_m``, or as fast as it must to
-    end with the move.
-
-    Args:
-        path: poses (N, 7), each a move or a turn from the one before.
-        settings: give that rate.
+    end with the move. Each pose of the given path (N, 7) is a move or a turn from the one before.
     """
     per_turn = settings.keyboard.step_m / settings.keyboard.turn_rad
     result = [path[0]]
@@ -107,10 +104,10 @@ def _played(path: Array, settings: DemoSettings, rounding: float) -> tuple[Array
     if len(times) > 1 and seconds[-1] - times[-1] < _SAME_SECONDS:
         times = times[:-1]
     times = np.append(times, seconds[-1])
-    return _waiting(times, around, settings.sample_seconds), rounded(_at(path, seconds, times), around)
+    return _waiting(times, around, settings.sample_seconds), round_corners(_at(path, seconds, times), around)
 
 
-def rounded(poses: Array, around: int) -> Array:
+def round_corners(poses: Array, around: int) -> Array:
     """Return poses (N + 2 around, 7), positions averaged by a Hann window of ``around`` samples to each side of (N, 7).
 
     Before and after it the path is taken to stand still, so that it begins and ends at its own ends.
@@ -128,7 +125,7 @@ def rounded(poses: Array, around: int) -> Array:
 
 
 def _waiting(times: Array, around: int, interval: float) -> Array:
-    """Return times (N,) [s] with as many more at the beginning and at the end as the rounding needs, from 0."""
+    """Return times (N,) [s], from 0, extended at both ends by the samples that the rounding adds."""
     before = interval * np.arange(around)
     after = times[-1] + interval * np.arange(around + 1, 2 * around + 1)
     return np.concatenate([before, interval * around + times, after])
@@ -139,15 +136,3 @@ def _at(path: Array, seconds: Array, times: Array) -> Array:
     signed[:, pose.QUATERNION] = continuous(path[:, pose.QUATERNION])
     values = at_arc_lengths(signed, seconds, times)
     return pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION])
-
-
-def _followed(poses: Array, joints: Array, reachability: Reachability) -> tuple[Array | None, str]:
-    """Return joint angles (N, 6) [rad] along poses (N, 7) from those at the first, or None and why there are none."""
-    motion = Motion(joints)
-    angles = [joints]
-    for each in poses[1:]:
-        motion = reachability.move(each, angles[-1])
-        if motion.joints is None:
-            return None, f"{motion.reason}: {motion.detail}"
-        angles.append(motion.joints)
-    return np.array(angles), ""

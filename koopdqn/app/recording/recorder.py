@@ -1,22 +1,17 @@
-"""Recording by keys: what is under way, what is kept, what each key makes of it, and how the arm moves."""
+"""Recording by keys: what is under way, what is kept, and what each key makes of it."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.app.recording.log import LOG, KeyLine, logged_keys, session_line
-from koopdqn.app.recording.playing import played, samples_of
-from koopdqn.app.recording.settings import DemoSettings
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.oracles.journal import JournalFile
+from koopdqn.app.recording import DemoSettings
+from koopdqn.app.recording.playing import play, sample_count
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.settings import shown
 from koopdqn.tasks.reachability import Motion, Reachability
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
@@ -36,14 +31,9 @@ _SAME_RAD: Final = 1e-9
 
 
 def target(key: str, here: Array, goal: Array, step: float, turn: float) -> Array:
-    """Return the pose (7,) to which a key of :data:`MOVES` moves the flange.
+    """Return the pose (7,) to which a key of :data:`MOVES` moves the flange from ``here`` (7,).
 
-    Args:
-        key: which one.
-        here: the flange's pose (7,).
-        goal: the task's goal (7,).
-        step: how far a key moves [m]; straight at the goal no farther than the goal.
-        turn: how far a key turns [rad]; toward the goal's orientation no farther than that.
+    It moves by ``step`` [m] or turns by ``turn`` [rad]; toward the goal (7,) no farther than the goal.
     """
     moved = here.copy()
     if key in _AXES:
@@ -61,14 +51,14 @@ def target(key: str, here: Array, goal: Array, step: float, turn: float) -> Arra
 
 
 def same(a: Array, b: Array) -> bool:
-    """Return whether two poses (7,) are one."""
+    """Return whether two poses (7,) are equal up to rounding."""
     return bool(pose.position_distance(a, b) < _SAME_M and pose.rotation_distance(a, b) < _SAME_RAD)
 
 
-def driven(here: Array, there: Array, joints: Array, task: Task, reachability: Reachability) -> Motion:
-    """Return what becomes of moving the flange from one pose (7,) straight to another, from joints (6,) [rad].
+def drive(here: Array, there: Array, joints: Array, task: Task, reachability: Reachability) -> Motion:
+    """Return the motion of the flange from one pose (7,) straight to another, from joints (6,) [rad].
 
-    The way is tested at every step that an action of the agent would make of it.
+    The path is checked at every step that the agent would take along it.
     """
     steps = float(pose.position_distance(here, there)) / task.step_m
     turns = float(pose.rotation_distance(here, there)) / (_TURNS_PER_ACTION * task.rotation_tolerance_rad)
@@ -80,24 +70,15 @@ def driven(here: Array, there: Array, joints: Array, task: Task, reachability: R
     return motion
 
 
-_LARGER: Final = ("+", "=")
-_SMALLER: Final = ("-", "_")
 _SCALES: Final = (-5, 3)
 """Least and largest power of two by which the step is scaled."""
-
-
-LARGEST_TURN: Final = 0.8
+_LARGEST_TURN: Final = 0.8
 """More [rad] no key turns."""
 
 
 @dataclass(frozen=True)
 class Reply:
-    """What a key did.
-
-    Attributes:
-        text: in one line.
-        changed: whether anything is other than before.
-    """
+    """What a key did, in one line, and whether anything changed."""
 
     text: str
     changed: bool
@@ -129,11 +110,7 @@ class Recorder:
     """Records demonstrations of one task from keys. The same keys make the same demonstrations."""
 
     def __init__(self, workcell: Workcell, settings: DemoSettings, seed: int) -> None:
-        """Begin at the first drawn start.
-
-        Raises:
-            BadInputError: hardly any start can be taken.
-        """
+        """Begin at the first drawn start."""
         self._workcell = workcell
         self._settings = settings
         self._seed = seed
@@ -155,7 +132,7 @@ class Recorder:
     @property
     def turn(self) -> float:
         """How far a key turns now [rad]."""
-        return min(float(self._settings.keyboard.turn_rad * 2.0**self._scale), LARGEST_TURN)
+        return min(float(self._settings.keyboard.turn_rad * 2.0**self._scale), _LARGEST_TURN)
 
     @property
     def here(self) -> Array:
@@ -174,38 +151,27 @@ class Recorder:
 
     @property
     def samples(self) -> int:
-        """How many samples the path under way has; it is played at the speed that is set."""
-        return samples_of(np.array(self.state.path), self._settings) if self.state.moves else 1
+        """How many samples the path under way has when it is played."""
+        return sample_count(np.array(self.state.path), self._settings) if self.state.moves else 1
 
     def press(self, key: str, *, sure: bool = False) -> Reply:
-        """Do what a key says and tell it.
-
-        Args:
-            key: one character.
-            sure: whether an end away from the goal is kept without asking once more.
-        """
+        """Apply a key and return what it did; ``sure`` keeps an end away from the goal without asking once more."""
         if key in MOVES:
             return self._move(key)
-        if key in _LARGER or key in _SMALLER:
-            return self._rescale(1 if key in _LARGER else -1)
-        if key == "u":
-            return self._undo()
-        if key == "b":
-            return self._mark_start()
+        if key in "+=-_":
+            return self._rescale(1 if key in "+=" else -1)
         if key == "e":
             return self._mark_end(sure=sure)
-        if key == "x":
-            return self._discard()
-        if key == "n":
-            state = self._begun(self.state.start + 1, self.state.kept)
-            return self._become(state, f"New start; {_counted(self.state.moves)} dropped (u brings them back)")
-        return Reply(f"{key!r} is no key here; ? lists them", changed=False)
+        others = {"u": self._undo, "b": self._mark_start, "x": self._discard, "n": self._renew}
+        if key not in others:
+            return Reply(f"{key!r} is no key here; ? lists them", changed=False)
+        return others[key]()
 
     def _move(self, key: str) -> Reply:
         there = target(key, self.here, self.task.goal, self.step, self.turn)
         if same(self.here, there):
             return Reply("Nothing to move: that is as the goal has it already", changed=False)
-        motion = driven(self.here, there, self.joints, self.task, self._workcell.reachability)
+        motion = drive(self.here, there, self.joints, self.task, self._workcell.reachability)
         if motion.joints is None:
             return Reply(f"Refused: {motion.reason.replace('_', ' ')}: {motion.detail}", changed=False)
         state = replace(
@@ -239,6 +205,10 @@ class Recorder:
             return Reply("Nothing to discard", changed=False)
         return self._become(state, f"Discarded: {_counted(self.state.moves)}; back at the start (u brings them back)")
 
+    def _renew(self) -> Reply:
+        state = self._begun(self.state.start + 1, self.state.kept)
+        return self._become(state, f"New start; {_counted(self.state.moves)} dropped (u brings them back)")
+
     def _mark_end(self, *, sure: bool) -> Reply:
         task, state = self.task, self.state
         if self.length < task.step_m:
@@ -248,7 +218,7 @@ class Recorder:
             self._doubted = state
             return Reply(f"{self.off_goal()}; e again keeps it", changed=False)
         try:
-            item, reason = played(np.array(state.path), state.joints[0], self._settings, self._workcell.reachability)
+            item, reason = play(np.array(state.path), state.joints[0], self._settings, self._workcell.reachability)
         except WorkFailedError as error:
             return Reply(f"Not kept: the arm cannot follow at {self._settings.speed_m_s:g} m/s: {error}", changed=False)
         text = f"Kept: demonstration {len(state.kept)}, {len(item)} samples, {item.times[-1]:.1f} s"
@@ -259,7 +229,7 @@ class Recorder:
         return self._become(self._begun(state.start + 1, (*state.kept, item)), f"{text}; a new start")
 
     def off_goal(self) -> str:
-        """Return how far the goal is and what that means for ``fit`` and ``train``, in one line."""
+        """Return in one line how far the goal is, and within what distance ``fit`` and ``train`` accept it."""
         task = self.task
         apart = float(pose.position_distance(self.here, task.goal)) * 1e3
         turned = np.degrees(float(pose.rotation_distance(self.here, task.goal)))
@@ -280,85 +250,3 @@ class Recorder:
 
 def _counted(moves: int) -> str:
     return f"{moves} move{'' if moves == 1 else 's'}"
-
-
-class Recording:
-    """A recorder whose every key and every demonstration is on disk before the next key. Close it.
-
-    Attributes:
-        recorder: what is recorded.
-    """
-
-    def __init__(self, workcell: Workcell, settings: DemoSettings, seed: int, folder: Path, name: str) -> None:
-        """Begin in a run folder, or go on with the recording that it holds.
-
-        Args:
-            workcell: task, arm and scene.
-            settings: how keys move the arm and how paths are played.
-            seed: by which starts are drawn.
-            folder: the run folder.
-            name: of the file of demonstrations in it.
-
-        Raises:
-            BadInputError: what the folder holds is damaged, or is of another recording.
-        """
-        self.recorder = Recorder(workcell, settings, seed)
-        self._workcell = workcell
-        self._path = folder / name
-        session = session_line(workcell, settings, seed)
-        log = folder / LOG
-        keys = logged_keys(log, session)
-        before = self.demonstrations()
-        for number, key in enumerate(keys, start=2):
-            before = self.demonstrations()
-            reply = self.recorder.press(key, sure=True)
-            if not reply.changed:
-                raise BadInputError(f"{log}, line {number}: {shown(key)} must do what it did then, found: {reply.text}")
-        self._check_file(before)
-        begun = log.exists() and b"\n" in log.read_bytes()
-        self._log = JournalFile(log)
-        if not begun:
-            self._log.append(session)
-        self._written = -1
-        self._write()
-
-    def demonstrations(self) -> Demonstrations | None:
-        """Return what is kept so far, or None if nothing is."""
-        kept = self.recorder.state.kept
-        return Demonstrations(self._workcell.task.name, self._workcell.arm.name, kept) if kept else None
-
-    def press(self, key: str) -> Reply:
-        """Do what a key says; what it changed is on disk when this returns."""
-        reply = self.recorder.press(key)
-        if reply.changed:
-            self._log.append(KeyLine(kind="key", key=key))
-            self._write()
-        return reply
-
-    def close(self) -> None:
-        """Close the log."""
-        self._log.close()
-
-    def _write(self) -> None:
-        count = len(self.recorder.state.kept)
-        if count == self._written:
-            return
-        kept = self.demonstrations()
-        if kept is not None:
-            write_hdf5(self._path, kept)
-        else:
-            # Its one demonstration was taken back; the log holds it.
-            self._path.unlink(missing_ok=True)
-        self._written = count
-
-    def _check_file(self, before: Demonstrations | None) -> None:
-        """Raise unless the file of demonstrations is that of the log, or of the log ``before`` its last key."""
-        if not self._path.exists():
-            return
-        found, kept = read_hdf5(self._path), self.demonstrations()
-        if found.digest() not in [item.digest() for item in (kept, before) if item is not None]:
-            recorded = len(self.recorder.state.kept)
-            raise BadInputError(
-                f"run: {self._path} must hold the {recorded} demonstrations that {LOG} beside it records,"
-                f" found {len(found)} that differ"
-            )

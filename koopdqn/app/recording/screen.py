@@ -1,7 +1,8 @@
-"""The screen of a recording: its lines of text for a size, and the picture on it; it asks nothing."""
+"""The screen of a recording: its lines and its picture, and the loop that takes keys and shows what they do."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -10,19 +11,19 @@ from rich.text import Text
 
 from koopdqn import pose
 from koopdqn.app.recording.recorder import Recorder
-from koopdqn.oracles.terminal.picture import AXES, BEFORE, GOAL, WENT
-from koopdqn.oracles.terminal.screen import GAP, Region, beside, wrapped
+from koopdqn.app.recording.session import Recording
+from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_terminal
+from koopdqn.oracles.terminal.graphics import Picture, Window
+from koopdqn.oracles.terminal.picture import BEFORE, WENT, Marks, WorkcellCamera
+from koopdqn.oracles.terminal.picture import GOAL as GOAL_COLOUR
+from koopdqn.oracles.terminal.screen import BOLD, DIM, GAP, GOAL, beside, framed, picture_lines, region, wrapped
 from koopdqn.pose import Array
-from koopdqn.robot.render import Camera, Ghost, Image, Line, Sphere, View, choose_view
-from koopdqn.tasks.workcell import Workcell, build_scene
+from koopdqn.robot.render import Ghost, Image, Line
+from koopdqn.robot.view import View, choose_view
+from koopdqn.tasks.workcell import Workcell
 
-_DIM: Final = Style(dim=True)
-_BOLD: Final = Style(bold=True)
-_HEAD: Final = Style(reverse=True, bold=True)
 _START: Final = Style(color="bright_white", bold=True)
 _TOOL: Final = Style(color="yellow", bold=True)
-_GOAL: Final = Style(color="green", bold=True)
-
 _MOST_STATUS: Final = 3
 """Lines at the bottom that tell what a key did."""
 
@@ -80,40 +81,26 @@ class Shown:
     help: bool = False
 
 
-def compose(shown: Shown, place: Region, width: int, height: int) -> list[Text]:
-    """Return the screen's ``height`` lines, each at most ``width`` characters, the picture's place in them free."""
+def compose(content: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
+    """Return the screen's ``height`` lines, each at most ``width`` characters."""
+    place = region(width, height, pictures=pictures)
     # One short of the width: a character in the corner makes some terminals scroll.
-    status = wrapped(shown.status, width - 1, _BOLD)[:_MOST_STATUS]
-    status += [Text("")] * (not status)
-    body = height - 1 - len(KEYS) - len(status)
-    if shown.help:
-        lines = [Text(line) for line in HELP[:body]]
+    status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
+    room = height - 1 - len(KEYS) - len(status)
+    if content.help:
+        body = [Text(line) for line in HELP]
     else:
-        right = _right(shown, width - place.width - (GAP if place.width else 0))
-        lines = beside(_left(shown, place, body), right, place.width)
-    lines = (lines + [Text("")] * body)[:body]
-    lines = [_head(shown, width), *lines, *(Text(line, style=_DIM) for line in KEYS)]
-    for line in lines:
-        line.truncate(width, overflow="crop")
-    return [*lines, *status]
+        left = picture_lines(content.picture, [_legend(place.width)], content.remark, place)[:room]
+        body = beside(left, _right(content, width - place.width - (GAP if place.width else 0)), place.width)
+    kept = len(content.recorder.state.kept)
+    head = f" koopdqn  {content.recorder.task.name}   demonstration {kept}   {kept} kept"
+    return framed(head, body, KEYS, status, width, height)
 
 
-def _head(shown: Shown, width: int) -> Text:
-    state = shown.recorder.state
-    text = f" koopdqn  {shown.recorder.task.name}   demonstration {len(state.kept)}   {len(state.kept)} kept"
-    return Text(text[:width].ljust(width), style=_HEAD)
-
-
-def _left(shown: Shown, place: Region, body: int) -> list[Text]:
-    if not place.width:
-        return []
-    if shown.remark:
-        return [Text(""), *wrapped(shown.remark, place.width, _DIM)]
-    legend = Text.assemble(("s", _START), " start ", ("t", _TOOL), " tool ", ("g", _GOAL), " goal")
+def _legend(width: int) -> Text:
+    legend = Text.assemble(("s", _START), " start ", ("t", _TOOL), " tool ", ("g", GOAL), " goal")
     axes = "  xyz base axes"
-    if len(legend) + len(axes) <= place.width:
-        legend += Text(axes, style=_DIM)
-    return [*(shown.picture or [Text("")] * place.rows), legend][:body]
+    return legend + Text(axes, style=DIM) if len(legend) + len(axes) <= width else legend
 
 
 def _right(shown: Shown, width: int) -> list[Text]:
@@ -127,19 +114,19 @@ def _right(shown: Shown, width: int) -> list[Text]:
     moves, samples = recorder.state.moves, recorder.samples
     apart = f"{np.linalg.norm(away):.1f} mm and {np.linalg.norm(turn):.1f}° away"
     return [
-        Text("              x       y       z", style=_DIM),
+        Text("              x       y       z", style=DIM),
         _row("tool", here[pose.POSITION] * 1e3, "mm"),
         _row("goal", task.goal[pose.POSITION] * 1e3, "mm"),
         _row("to go", away, "mm", signed=True),
         _row("turn", turn, "° tool", signed=True),
-        _pair("goal", "reached, " + apart if reached else apart, _GOAL if reached else Style()),
+        _pair("goal", "reached, " + apart if reached else apart, GOAL if reached else Style()),
         *(wrapped(f"rule   BROKEN here: {task.rule}", width, _TOOL) if broken else [_pair("rule", "held")]),
         Text(""),
         _pair("step", f"{recorder.step * 1e3:.4g} mm, {np.degrees(recorder.turn):.3g}°"),
         _pair("path", f"{moves} move{'' if moves == 1 else 's'}, {recorder.length:.3f} m"),
         _pair("", f"{samples} sample{'' if samples == 1 else 's'} when played"),
         _pair("kept", f"{len(recorder.state.kept)}"),
-        *([_pair("in", shown.file, _DIM)] if recorder.state.kept else []),
+        *([_pair("in", shown.file, DIM)] if recorder.state.kept else []),
         Text(""),
         *(Text(f"{first:<16}{second}") for first, second in _MOVING),
     ]
@@ -149,76 +136,113 @@ def _row(name: str, values: Array, unit: str, *, signed: bool = False) -> Text:
     sign = "+" if signed else ""
     # Adding zero makes of a rounded −0 a 0.
     numbers = "".join(f"{round(float(value), 1) + 0.0:>{sign}8.1f}" for value in values)
-    return Text.assemble((f"{name:<7}", _DIM), numbers, (f" {unit}", _DIM))
+    return Text.assemble((f"{name:<7}", DIM), numbers, (f" {unit}", DIM))
 
 
 def _pair(name: str, value: str, style: Style | None = None) -> Text:
-    return Text.assemble((f"{name:<7}", _DIM), (value, style or Style()))
+    return Text.assemble((f"{name:<7}", DIM), (value, style or Style()))
 
 
-_AXIS_M: Final = 0.13
-_AXIS_SHAFT_M: Final = 0.0025
 _PATH_M: Final = 0.005
-_TIP_M: Final = 0.014
 _GHOST: Final = 0.3
 
 
-class RecordingCamera:
-    """Draws a recording in a scene of its own. Close it."""
+class RecordingCamera(WorkcellCamera):
+    """Draws a recording."""
 
-    def __init__(self, workcell: Workcell, size: tuple[int, int]) -> None:
-        """Prepare for pictures of ``size`` (width, height) [pixels].
+    _seen_from: View | None = None
 
-        Raises:
-            WorkFailedError: OpenGL does not work here.
-        """
-        self._goal = workcell.task.goal
-        self._workcell = workcell
-        self._goal_joints = workcell.reachability.enter(self._goal).joints
-        scene = build_scene(workcell.task, workcell.arm)
-        # Shadows take nine tenths of the time where the processor draws.
-        scene.model.vis.quality.shadowsize = scene.model.vis.quality.offsamples = 0
-        self._camera = Camera(scene, size)
-        self._seen_from: View | None = None
-
-    def close(self) -> None:
-        """Free what OpenGL holds."""
-        self._camera.close()
-
-    def picture(self, recorder: Recorder) -> tuple[Image, dict[str, tuple[float, float]]]:
+    def picture(self, recorder: Recorder) -> tuple[Image, Marks]:
         """Return the picture (height, width, 3) of where a recording is, and where things are in it.
 
-        Those are shares (0…1) of width and height: s the start, t the tool, g the goal, x, y and z the ends of the
-        base's axes.
+        Marked are s the start, t the tool, g the goal, x, y and z the ends of the base's axes.
         """
         path = np.array(recorder.state.path)[:, pose.POSITION]
-        here, goal = path[-1], self._goal[pose.POSITION]
-        axes = here + _AXIS_M * np.eye(3)
-        view = self._view(recorder)
-        lines = [Line(np.array([here, end]), colour, _AXIS_SHAFT_M) for end, colour in zip(axes, AXES, strict=True)]
-        if recorder.state.moves:
-            lines.append(Line(path, WENT, _PATH_M))
-        image = self._camera.picture(
-            recorder.joints,
-            view,
-            lines=lines,
-            spheres=[Sphere(path[0], BEFORE, _TIP_M), Sphere(goal, GOAL, _TIP_M), Sphere(here, WENT, _TIP_M)],
-            ghosts=[] if self._goal_joints is None else [Ghost(self._goal_joints, _GHOST)],
-        )
-        size = self._camera.size
-        points = np.array([*axes, path[0], goal, here])
-        places = view.pixels(points, size, self._camera.scene.model.vis.global_.fovy) / np.array(size)
-        return image, {mark: (float(x), float(y)) for mark, (x, y) in zip("xyzsgt", places, strict=True)}
-
-    def _view(self, recorder: Recorder) -> View:
+        goal = self.workcell.task.goal
+        # One view for the whole session, so that left stays left.
         if self._seen_from is None:
-            # One for the whole session, so that left stays left.
-            self._seen_from = choose_view(self._camera.scene, self._motion(recorder.joints), self._camera.size)
-        return self._seen_from
+            self._seen_from = choose_view(self.camera.scene, self._motion(recorder.joints), self.camera.size)
+        goal_joints = self.workcell.reachability.enter(goal).joints
+        return self.drawn(
+            recorder.joints,
+            self._seen_from,
+            path[-1],
+            [Line(path, WENT, _PATH_M)] if recorder.state.moves else [],
+            {"s": (path[0], BEFORE), "g": (goal[pose.POSITION], GOAL_COLOUR), "t": (path[-1], WENT)},
+            [] if goal_joints is None else [Ghost(goal_joints, _GHOST)],
+        )
 
     def _motion(self, otherwise: Array) -> Array:
         """Return joint angles (N, 6) [rad] of what is about to be shown: the task's own way, or one posture."""
-        task = self._workcell.task
+        task = self.workcell.task
         limit = 20 * int(task.nominal_path.length / task.step_m)
-        joints, _ = self._workcell.reachability.follow(task.demonstrator.roll_out(task.nominal_start, limit))
+        joints, _ = self.workcell.reachability.follow(task.demonstrator.roll_out(task.nominal_start, limit))
         return otherwise[None] if joints is None else joints
+
+
+_WAIT_SECONDS: Final = 0.1
+"""How often the size of the screen is looked at."""
+
+
+def check_keyboard(graphics: Graphics) -> None:
+    """Raise BadInputError if there is no terminal here, or it cannot show pictures the wanted way."""
+    require_terminal("source=keyboard", "use source=scripted, or koopdqn import demos=FILE for demonstrations of yours")
+    check_graphics(graphics, "demo.keyboard.graphics")
+
+
+class RecordingScreen:
+    """Shows a recording on the terminal and takes the keys, until the person finishes."""
+
+    def __init__(self, recording: Recording, workcell: Workcell, graphics: Graphics, file: str) -> None:
+        """Prepare for a recording that keys drive; ``file`` names the demonstrations for people."""
+        self._recording = recording
+        self._workcell = workcell
+        self._window: Window[RecordingCamera] = Window(graphics, self._repaint)
+        self._shown = Shown(recording.recorder, file, "Drive the tool to the goal; ? lists the keys")
+        self._picture: Picture | None = None
+
+    def run(self) -> None:
+        """Take keys until the person finishes or pauses; whatever happens, the terminal is restored."""
+        window = self._window
+        try:
+            window.open()
+            # The text first: it can be read while the first picture is drawn.
+            self._repaint()
+            window.start(partial(RecordingCamera, self._workcell))
+            self._shown = replace(self._shown, remark=window.remark)
+            self._show(anew=True)
+            while True:
+                keys = window.device.keys(_WAIT_SECONDS)
+                changed = False
+                for key in keys:
+                    if key == "q" and not self._shown.help:
+                        return
+                    changed |= self._take(key)
+                resized = window.resized()
+                if keys or resized:
+                    self._show(anew=changed or resized)
+        finally:
+            window.close()
+
+    def _take(self, key: str) -> bool:
+        """Do what a key says; return whether the picture is another now."""
+        if self._shown.help or key == "?":
+            self._shown = replace(self._shown, help=not self._shown.help)
+            return False
+        reply = self._recording.press(key)
+        self._shown = replace(self._shown, status=reply.text)
+        return reply.changed
+
+    def _show(self, *, anew: bool) -> None:
+        place, camera = self._window.place(), self._window.camera
+        if camera is not None and place.width and (anew or self._picture is None or self._picture.place != place):
+            self._picture = Picture(*camera.picture(self._recording.recorder), place)
+        self._repaint()
+
+    def _repaint(self) -> None:
+        window = self._window
+
+        def lines(picture_lines: list[Text], width: int, height: int) -> list[Text]:
+            return compose(replace(self._shown, picture=picture_lines), width, height, pictures=window.pictures)
+
+        window.paint(lines, None if self._shown.help else self._picture)

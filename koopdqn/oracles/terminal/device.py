@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from types import FrameType
 from typing import Any, Final, Literal
 
@@ -18,22 +18,15 @@ from koopdqn.oracles.base import PauseRequested
 
 _ENTER: Final = "\x1b[?1049h\x1b[?25l\x1b[2J\x1b[H"
 _LEAVE: Final = "\x1b[0m\x1b[2J\x1b[?25h\x1b[?1049l"
-_ESCAPE: Final = "\x1b"
+# CSI and SS3 sequences end with a letter or ~; anything else after ESC is one character.
+_SEQUENCE: Final = re.compile(r"\x1b(?:[\[O][^a-zA-Z~]*[a-zA-Z~]?|.)?", re.DOTALL)
 _END_OF_INPUT: Final = "\x04"
 _SMALLEST: Final = (20, 8)
 """Width and height that a terminal which does not know its size is taken to have at least."""
 
 
 def require_terminal(what: str, others: str) -> None:
-    """Raise unless a person can be asked here.
-
-    Args:
-        what: the setting that needs the terminal, for the message.
-        others: what else can be used, for the message.
-
-    Raises:
-        BadInputError: standard input or standard error is no terminal, or it cannot be drawn on.
-    """
+    """Raise BadInputError unless a person can be asked here; it names the setting ``what`` and ``others`` to use."""
     try:
         import termios  # noqa: F401 (absent on Windows)
     except ImportError:
@@ -112,11 +105,7 @@ class Device:
         self._handlers = {}
 
     def write(self, text: str) -> None:
-        """Write to the screen at once.
-
-        Raises:
-            PauseRequested: the terminal is gone.
-        """
+        """Write to the screen at once; PauseRequested if the terminal is gone."""
         data = text.encode("utf-8", errors="replace")
         try:
             while data:
@@ -125,26 +114,18 @@ class Device:
             raise _gone() from error
 
     def keys(self, seconds: float) -> list[str]:
-        """Return the keys pressed, waiting for the first at most ``seconds``; keys that send a sequence are left out.
-
-        Raises:
-            PauseRequested: the terminal is gone, or the person ended the input (Ctrl-D).
-        """
+        """Return the keys pressed, waiting at most ``seconds`` for one; PauseRequested if Ctrl-D ends the input."""
         text = self.raw(seconds)
         if _END_OF_INPUT in text:
             raise PauseRequested("paused: the input ended")
-        return list(_single(text))
+        return _single(text)
 
     def waits(self, seconds: float) -> bool:
         """Return whether something was pressed within ``seconds``, and leave it to be read."""
         return bool(select.select([self._in], [], [], seconds)[0])
 
     def raw(self, seconds: float) -> str:
-        """Return all that the terminal sent, waiting at most ``seconds`` for it to begin.
-
-        Raises:
-            PauseRequested: the terminal is gone.
-        """
+        """Return all that the terminal sent, waiting at most ``seconds``; PauseRequested if the terminal is gone."""
         try:
             if not self.waits(seconds):
                 return ""
@@ -191,21 +172,9 @@ class Device:
         os.kill(os.getpid(), number)
 
 
-def _single(text: str) -> Iterator[str]:
-    """Yield the keys that are one character, in lower case; what an arrow or function key sends is passed over."""
-    index = 0
-    while index < len(text):
-        character = text[index]
-        index += 1
-        if character != _ESCAPE:
-            yield character.lower()
-            continue
-        # CSI and SS3 sequences end with a letter or ~; anything else after ESC is one character.
-        if index < len(text) and text[index] in "[O":
-            index += 1
-            while index < len(text) and not (text[index].isalpha() or text[index] == "~"):
-                index += 1
-        index += 1
+def _single(text: str) -> list[str]:
+    """Return the keys that are one character, in lower case; what an arrow or function key sends is left out."""
+    return list(_SEQUENCE.sub("", text).lower())
 
 
 def _gone() -> PauseRequested:

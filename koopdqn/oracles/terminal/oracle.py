@@ -1,18 +1,23 @@
 """The person at the terminal: asked by a screen, answering by single keys."""
 
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Final
 
+from rich.text import Text
+
 from koopdqn import console
 from koopdqn.errors import KoopdqnError
 from koopdqn.files import atomic_path
-from koopdqn.oracles import wording
 from koopdqn.oracles.base import Answer, Oracle, PauseRequested, Question
-from koopdqn.oracles.terminal.device import Device, Graphics, choose_graphics
-from koopdqn.oracles.terminal.picture import Painter, Situation, SituationCamera, png
-from koopdqn.oracles.terminal.screen import Shown
+from koopdqn.oracles.terminal import screen
+from koopdqn.oracles.terminal.device import Graphics
+from koopdqn.oracles.terminal.graphics import Picture, Window, png
+from koopdqn.oracles.terminal.picture import Situation, SituationCamera
+from koopdqn.oracles.terminal.screen import Shown, compose, status_line
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.workcell import Workcell
 
@@ -23,40 +28,28 @@ _REPLAY_FRAMES: Final = 8
 _REPLAY_SECONDS: Final = 0.08
 _SAVED_SIZE: Final = (1280, 960)
 _VERDICTS: Final = {"y": True, "n": False, "s": None}
-PICTURES: Final = "questions"
-"""The run folder's folder for saved pictures."""
 
 
 class TerminalOracle(Oracle):
     """Asks the person at the terminal. From the first question or sign of learning on it owns the screen."""
 
     def __init__(self, workcell: Workcell, teacher: str, graphics: Graphics, folder: Path) -> None:
-        """Prepare for questions about a workcell.
-
-        Args:
-            workcell: task, arm and scene.
-            teacher: who answers.
-            graphics: how pictures are drawn.
-            folder: the run folder, for saved pictures.
-        """
+        """Prepare for a teacher's answers about a workcell; the run folder takes saved pictures."""
         self._workcell = workcell
         self._teacher = teacher
-        self._graphics = graphics
         self._folder = folder
-        self._device = Device(self._repaint)
-        self._painter: Painter | None = None
+        self._window: Window[SituationCamera] = Window(graphics, self._repaint)
         self._shown = Shown(workcell.task, teacher)
         self._situation: Situation | None = None
-        self._size = (0, 0)
         self._pressed: list[str] = []
         self._answered = ""
         self._shown_at = self._told_at = 0.0
 
     def answer(self, question: Question) -> Answer:
         """Show the question and return the person's answer."""
-        painter = self._open()
+        self._open()
         if self._shown.question is None or self._shown.question.number != question.number:
-            self._show(question, painter)
+            self._show(question)
         else:
             # The same one once more, after an undo: its picture stands, and keys already pressed are meant for it.
             self._shown = replace(self._shown, question=question)
@@ -70,13 +63,13 @@ class TerminalOracle(Oracle):
     def learning(self, progress: str) -> None:
         """Show how the learning goes, and take the key that pauses."""
         now = monotonic()
-        if self._painter is not None and now - self._told_at < _PROGRESS_SECONDS:
+        if self._window.device.entered and now - self._told_at < _PROGRESS_SECONDS:
             return
         self._told_at = now
         self._open()
-        if self._resized():
+        if self._window.resized():
             self._repaint()
-        pressed = self._device.keys(0.0)
+        pressed = self._window.device.keys(0.0)
         if "q" in pressed:
             raise PauseRequested("paused; the same command with run= goes on")
         note = "  (nothing is asked now: only q, pause, counts)" if pressed else ""
@@ -84,38 +77,32 @@ class TerminalOracle(Oracle):
 
     def close(self) -> None:
         """Restore the terminal."""
-        if self._painter is not None:
-            self._painter.close()
-            self._painter = None
-        self._device.leave()
+        self._window.close()
 
-    def _open(self) -> Painter:
-        if self._painter is None:
-            self._device.enter()
-            graphics = choose_graphics(self._graphics, self._device)
-            self._painter = Painter(self._device, self._workcell, graphics)
-            self._size = self._device.size()
+    def _open(self) -> None:
+        if not self._window.device.entered:
+            self._window.open()
+            self._window.start(partial(SituationCamera, self._workcell))
             self._repaint()
-        return self._painter
 
-    def _show(self, question: Question, painter: Painter) -> None:
+    def _show(self, question: Question) -> None:
         # Nobody can have meant this question before seeing it.
-        early = len(self._pressed) + len(self._device.keys(0.0))
+        early = len(self._pressed) + len(self._window.device.keys(0.0))
         self._pressed.clear()
         status = f"{early} typed ahead of the question: passed over" if early else self._answered
         self._shown = replace(self._shown, question=question, status=status, help=False)
         self._situation = None
         # The text first: it can be read while the picture is drawn.
         self._repaint()
-        self._situation = painter.situation(question)
+        self._situation = self._window.camera.picture(question) if self._window.camera else None
         self._repaint()
         self._shown_at = monotonic()
 
     def _key(self) -> str | None:
         """Return the next key, or None after a moment without one; the screen follows its size meanwhile."""
         if not self._pressed:
-            self._pressed += self._device.keys(_WAIT_SECONDS)
-        if self._resized():
+            self._pressed += self._window.device.keys(_WAIT_SECONDS)
+        if self._window.resized():
             self._repaint()
         return self._pressed.pop(0) if self._pressed else None
 
@@ -145,13 +132,13 @@ class TerminalOracle(Oracle):
         return None
 
     def _acknowledged(self, answer: Answer) -> Answer:
-        self._answered = f"Answered: {wording.told(answer)}"
+        self._answered = f"Answered: {screen.told(answer)}"
         self._say(self._answered)
         return answer
 
     def _better(self, action: int, question: Question, seconds: float) -> Answer | None:
-        if action >= COUNT or not wording.choosable(question, self._workcell.task)[action]:
-            self._say(f"{action}: that action is never right here ({wording.SHORT[action]})")
+        if action >= COUNT or not screen.choosable(question, self._workcell.task)[action]:
+            self._say(f"{action}: that action is never right here ({screen.SHORT[action]})")
             return None
         return self._acknowledged(Answer(action == question.action, self._teacher, seconds, action))
 
@@ -159,18 +146,15 @@ class TerminalOracle(Oracle):
         if not question.earlier:
             self._say("nothing is left to undo")
             return None
-        self._say(f"Withdrawn: {wording.recalled(question.earlier[-1])}; it is asked again when it comes up")
+        self._say(f"Withdrawn: {screen.recalled(question.earlier[-1])}; it is asked again when it comes up")
         return Answer(None, self._teacher, undo=1, again=True)
 
     def _save(self, question: Question) -> None:
         self._say("saving the picture ...")
-        path = self._folder / PICTURES / f"{question.number:04d}.png"
+        path = self._folder / "questions" / f"{question.number:04d}.png"
         try:
-            camera = SituationCamera(self._workcell, _SAVED_SIZE, fine=True)
-            try:
+            with closing(SituationCamera(self._workcell, _SAVED_SIZE, fine=True)) as camera:
                 image = camera.picture(question).image
-            finally:
-                camera.close()
             with atomic_path(path) as temporary:
                 temporary.write_bytes(png(image))
         except KoopdqnError as error:
@@ -179,32 +163,37 @@ class TerminalOracle(Oracle):
             self._say(f"saved {console.shown_path(path)}")
 
     def _replay(self, question: Question) -> None:
-        painter = self._open()
-        if self._situation is None:
+        whole, camera = self._situation, self._window.camera
+        if whole is None or camera is None:
             self._say("there is no picture to replay")
             return
-        whole = self._situation
         self._shown = replace(self._shown, status="the motion once more")
         for frame in range(_REPLAY_FRAMES):
             until = monotonic() + _REPLAY_SECONDS
-            self._situation = painter.situation(question, frame / _REPLAY_FRAMES)
+            self._situation = camera.picture(question, frame / _REPLAY_FRAMES)
             self._repaint()
             # A key ends it at once.
-            if self._device.waits(max(until - monotonic(), 0.0)):
+            if self._window.device.waits(max(until - monotonic(), 0.0)):
                 break
         self._situation = whole
         self._repaint()
 
     def _say(self, status: str) -> None:
         self._shown = replace(self._shown, status=status)
-        if self._painter is not None:
-            self._painter.paint_status(status)
-
-    def _resized(self) -> bool:
-        size = self._device.size()
-        changed, self._size = size != self._size, size
-        return changed
+        if self._window.device.entered:
+            self._window.paint_line(status_line(status, self._window.device.size()[0]))
 
     def _repaint(self) -> None:
-        if self._painter is not None:
-            self._painter.paint(self._shown, self._situation)
+        window = self._window
+        if not window.device.entered:
+            return
+        place = window.place()
+        drawn = self._situation if place.width and not self._shown.help else None
+        picture = None if drawn is None else Picture(drawn.image, drawn.marks, place)
+        times = 0.0 if drawn is None else drawn.times
+
+        def lines(picture_lines: list[Text], width: int, height: int) -> list[Text]:
+            shown = replace(self._shown, picture=picture_lines, times=times, remark=window.remark)
+            return compose(shown, width, height, pictures=window.pictures)
+
+        window.paint(lines, picture)

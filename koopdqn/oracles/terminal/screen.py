@@ -1,15 +1,33 @@
-"""The screen: what stands where, as lines of text for a size; it draws nothing and asks nothing."""
+"""The question screen: its words, and what stands where as lines of text for a size; it draws and asks nothing."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+import numpy as np
 from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from koopdqn.oracles import wording
-from koopdqn.oracles.base import Question
+from koopdqn import pose
+from koopdqn.oracles.base import Answer, Earlier, Question
+from koopdqn.tasks.actions import ACTIONS, COUNT, legal_actions
 from koopdqn.tasks.task import Task
+
+SHORT: Final = (
+    "goal and turn",
+    "goal",
+    "turn",
+    "goal and turn more",
+    "+x",
+    "-x",
+    "+y",
+    "-y",
+    "+z",
+    "-z",
+)
+"""Table 1's actions in a word or two, in its order."""
+_NOTHING_M: Final = 1e-6
 
 ASPECT: Final = (4, 3)
 """Width to height of the picture."""
@@ -19,12 +37,12 @@ _LEAST_PICTURE: Final = (24, 6)
 _FRAME_ROWS: Final = 5
 """The line at the top, the legend, two lines of keys and the line at the bottom."""
 
-_DIM: Final = Style(dim=True)
-_BOLD: Final = Style(bold=True)
+DIM: Final = Style(dim=True)
+BOLD: Final = Style(bold=True)
 _HEAD: Final = Style(reverse=True, bold=True)
 _WENT: Final = Style(color="yellow", bold=True)
 _MEANT: Final = Style(color="bright_cyan", bold=True)
-_GOAL: Final = Style(color="green", bold=True)
+GOAL: Final = Style(color="green", bold=True)
 
 KEYS: Final = (
     "y right   n wrong   0-9 better action   s skip   u undo",
@@ -108,75 +126,78 @@ def region(width: int, height: int, *, pictures: bool) -> Region:
 def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
-    body = height - 4
+    question, room = shown.question, height - 2 - len(KEYS)
+    head = f" koopdqn  {shown.task.name}"
+    if question is not None:
+        left = "" if question.left is None else f", {question.left} left"
+        head += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
     if shown.help:
-        lines = [Text(line) for line in HELP[:body]]
-    elif shown.question is None:
-        lines = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
+        body = [Text(line) for line in HELP]
+    elif question is None:
+        body = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
     else:
-        lines = beside(_left(shown, place, body), _right(shown, shown.question, width, place, body), place.width)
-    lines = (lines + [Text("")] * body)[:body]
-    lines = [_head(shown, width), *lines, *(Text(line, style=_DIM) for line in KEYS), status_line(shown.status, width)]
+        legend = [_legend(shown.times, place.width)] if shown.times else []
+        left_lines = picture_lines(shown.picture, legend, shown.remark, place)[:room]
+        body = beside(left_lines, _right(shown, question, width, place, room), place.width)
+    return framed(f"{head}   {shown.teacher}", body, KEYS, [status_line(shown.status, width)], width, height)
+
+
+def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text], width: int, height: int) -> list[Text]:
+    """Return a screen's lines: a bar with the head, the body as far as there is room, the keys, and the status."""
+    room = height - 1 - len(keys) - len(status)
+    body = (body + [Text("")] * room)[:room]
+    lines = [Text(head[:width].ljust(width), style=_HEAD), *body, *(Text(line, style=DIM) for line in keys)]
     for line in lines:
         line.truncate(width, overflow="crop")
-    return lines
+    return [*lines, *status]
+
+
+def picture_lines(picture: Sequence[Text], legend: Sequence[Text], remark: str, place: Region) -> list[Text]:
+    """Return what stands where a picture goes: its lines or room for it, and the legend; or the remark instead."""
+    if not place.width:
+        return []
+    if remark:
+        return [Text(""), *wrapped(remark, place.width, DIM)]
+    return [*(picture or [Text("")] * place.rows), *legend]
 
 
 def status_line(status: str, width: int) -> Text:
     """Return the line at the bottom."""
     # One short of the width: a character in the corner makes some terminals scroll.
-    line = Text(status, style=_BOLD)
+    line = Text(status, style=BOLD)
     line.truncate(width - 1, overflow="ellipsis")
     return line
 
 
-def _head(shown: Shown, width: int) -> Text:
-    question = shown.question
-    text = f" koopdqn  {shown.task.name}"
-    if question is not None:
-        left = "" if question.left is None else f", {question.left} left"
-        text += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
-    text += f"   {shown.teacher}"
-    return Text(text[:width].ljust(width), style=_HEAD)
-
-
-def _left(shown: Shown, place: Region, body: int) -> list[Text]:
-    if not place.width:
-        return []
-    if shown.remark:
-        return [Text(""), *wrapped(shown.remark, place.width, _DIM)]
-    lines = shown.picture or [Text("")] * place.rows
-    return [*lines, *([] if not shown.times else [_legend(shown.times, place.width)])][:body]
-
-
 def _legend(times: float, width: int) -> Text:
     text = Text.assemble(
-        ("b", _BOLD), " before ", ("r", _WENT), " reached ", ("m", _MEANT), " model ", ("g", _GOAL), " goal"
+        ("b", BOLD), " before ", ("r", _WENT), " reached ", ("m", _MEANT), " model ", ("g", GOAL), " goal"
     )
     for more in ("  xyz base axes", f"  motion drawn {times:.0f}x"):
         if len(text) + len(more) <= width:
-            text += Text(more, style=_DIM)
+            text += Text(more, style=DIM)
     return text
 
 
 def _right(shown: Shown, question: Question, width: int, place: Region, body: int) -> list[Text]:
     room = min(width - place.width - GAP, 2 * _TEXT_WIDTH) if place.width else width
+    asked_at_end = "Question {number} of about {expected} in the episode"
     drawn = f" (drawn {shown.times:.0f}x)" if shown.times else ""
     lines = [
-        *(wrapped(wording.place(question), room) if question.place else []),
-        *wrapped(f"Was this right? The arm {wording.meaning(question.action)}.", room, _BOLD),
-        _pair("moved", wording.moved(question) + drawn),
-        _pair("to go", wording.remaining(question, shown.task)),
-        _pair("goal", wording.nearer(question, shown.task)),
-        _pair("model", wording.opinion(question)),
+        *(wrapped(asked_at_end.format(**vars(question.place)), room) if question.place else []),
+        *wrapped(f"Was this right? The arm {ACTIONS[question.action]}.", room, BOLD),
+        _pair("moved", moved(question) + drawn),
+        _pair("to go", remaining(question, shown.task)),
+        _pair("goal", nearer(question, shown.task)),
+        _pair("model", opinion(question)),
         *wrapped(f"Asked because {question.reason or 'the intent model is not trusted here'}.", room),
     ]
-    learning = wrapped(f"Learning: {question.progress}", room, _DIM) if question.progress else []
+    learning = wrapped(f"Learning: {question.progress}", room, DIM) if question.progress else []
     keys = []
     if question.earlier:
-        keys += wrapped(f"Latest: {wording.recalled(question.earlier[-1])} (u)", room, _DIM)
-    keys.append(Text("Better, by key (mm to the goal):", style=_BOLD))
-    texts = wording.choices(question, shown.task)
+        keys += wrapped(f"Latest: {recalled(question.earlier[-1])} (u)", room, DIM)
+    keys.append(Text("Better, by key (mm to the goal):", style=BOLD))
+    texts = choices(question, shown.task)
     half = (len(texts) + 1) // 2
     cells = [_choice(action, text, question.action) for action, text in enumerate(texts)]
     column = max(len(cell) for cell in cells[:half]) + GAP
@@ -189,12 +210,12 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
 
 
 def _choice(action: int, text: str, asked: int) -> Text:
-    style = _DIM if text == "-" else _WENT if action == asked else Style()
-    return Text.assemble((f"{action}", _BOLD if text != "-" else _DIM), "*" if action == asked else " ", (text, style))
+    style = DIM if text == "-" else _WENT if action == asked else Style()
+    return Text.assemble((f"{action}", BOLD if text != "-" else DIM), "*" if action == asked else " ", (text, style))
 
 
 def _pair(name: str, value: str) -> Text:
-    return Text.assemble((f"{name:<6}", _DIM), value)
+    return Text.assemble((f"{name:<6}", DIM), value)
 
 
 def wrapped(text: str, width: int, style: Style | None = None) -> list[Text]:
@@ -214,3 +235,85 @@ def beside(left: list[Text], right: list[Text], width: int) -> list[Text]:
         first.pad_right(width - first.cell_len + GAP)
         lines.append(first + right[row] if row < len(right) else first)
     return lines
+
+
+def moved(question: Question) -> str:
+    """Return how far the action went, in position and in rotation."""
+    return _amounts(
+        float(pose.position_distance(question.reached, question.pose)),
+        float(pose.rotation_distance(question.reached, question.pose)),
+    )
+
+
+def remaining(question: Question, task: Task) -> str:
+    """Return how far the goal is after the action, in position and in rotation."""
+    return _amounts(
+        float(pose.position_distance(question.reached, task.goal)),
+        float(pose.rotation_distance(question.reached, task.goal)),
+    )
+
+
+def nearer(question: Question, task: Task) -> str:
+    """Return by how much the action went nearer to the goal or away from it."""
+    before, after = (float(pose.position_distance(p, task.goal)) for p in (question.pose, question.reached))
+    change = 1e3 * (before - after)
+    return f"{abs(change):.1f} mm {'nearer' if change >= 0 else 'farther'}"
+
+
+def opinion(question: Question) -> str:
+    """Return how the intent model's wish differs from the action."""
+    wish, went = ((end - question.pose)[pose.POSITION] for end in (question.predicted, question.reached))
+    lengths = float(np.linalg.norm(wish)), float(np.linalg.norm(went))
+    text = f"{1e3 * lengths[0]:.1f} mm"
+    if min(lengths) > _NOTHING_M:
+        cosine = float(np.clip(wish @ went / (lengths[0] * lengths[1]), -1.0, 1.0))
+        text += f", {np.degrees(np.arccos(cosine)):.0f}° off this motion"
+    turn = float(pose.rotation_distance(question.predicted, question.pose))
+    return text + (f", turning {np.degrees(turn):.1f}°" if np.degrees(turn) >= 0.05 else "")
+
+
+def choices(question: Question, task: Task) -> list[str]:
+    """Return what each of the ten keys would say, or why it cannot be said ("never right here")."""
+    allowed = choosable(question, task)
+    texts = []
+    for action in range(COUNT):
+        if not allowed[action]:
+            texts.append("-")
+            continue
+        text = SHORT[action]
+        if question.candidates is not None:
+            ends = np.array([question.pose, question.candidates[action]])
+            before, after = pose.position_distance(ends, task.goal)
+            text += f" {1e3 * (after - before):+.1f}"
+        texts.append(text)
+    return texts
+
+
+def choosable(question: Question, task: Task) -> np.ndarray:
+    """Return which actions (10,) may be named as better: those that the task allows and that do something."""
+    legal = legal_actions(task)
+    if question.candidates is None:
+        return legal
+    far = pose.position_distance(question.candidates, question.pose) > _NOTHING_M
+    turned = pose.rotation_distance(question.candidates, question.pose) > _NOTHING_M
+    return legal & (far | turned)
+
+
+def verdict(right: bool | None) -> str:
+    """Return an answer in a word."""
+    return "skipped" if right is None else "right" if right else "wrong"
+
+
+def told(answer: Answer) -> str:
+    """Return an answer in a few words."""
+    better = "" if answer.better is None else f": better {SHORT[answer.better]}"
+    return verdict(answer.right) + better
+
+
+def recalled(item: Earlier) -> str:
+    """Return an earlier answer in a few words."""
+    return f"answer {item.number}, {SHORT[item.action]}: {verdict(item.right)}"
+
+
+def _amounts(metres: float, radians: float) -> str:
+    return f"{1e3 * metres:7.1f} mm {np.degrees(radians):6.1f}°"

@@ -1,5 +1,6 @@
-"""The stages that several commands go through; each makes what is missing and keeps it in the run folder."""
+"""The pipeline that commands share: each stage makes what is missing and keeps it in the run folder."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,10 +10,9 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.demonstrations.derivation import Derivation, Derived
-from koopdqn.demonstrations.generate import generate
+from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
+from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.placement import blocked_at, found_placement
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
@@ -28,7 +28,7 @@ DEMONSTRATIONS = "demos.hdf5"
 
 
 def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configuration:
-    """Return a config whose task is made, if it must be, from ``demos=`` or what a folder holds; say what was found.
+    """Return the config with its task made from demonstrations if the option is a recipe; tell what was found.
 
     Args:
         config: the config.
@@ -57,8 +57,7 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
         read, derived = _placed(config, recipe, read, derived)
     if read.placement is not None:
         console.note(f"task {recipe.name}: demonstrations {read.placement}")
-    if kept.exists() and read_hdf5(kept).digest() != read.digest():
-        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
+    _check_kept(kept, read, sources)
     for line in derived.notes:
         console.note(f"task {recipe.name}: {line}")
     _check_followed(config, derived.task)
@@ -73,7 +72,7 @@ def _placed(
     """Return demonstrations moved to where the arm can follow them, and the task made from them."""
     task = derived.task
     aside = agent_steps(replace(derived.training, items=derived.held_out), task) if derived.held_out else []
-    moved = found_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
+    moved = find_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
     return moved, recipe.derive(moved)
 
 
@@ -118,11 +117,15 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
         _check_reach(config, demonstrations)
     else:
         demonstrations, _ = new_demonstrations(config, workcell)
+    _check_kept(kept, demonstrations, sources)
     if not kept.exists():
         write_hdf5(kept, demonstrations)
-    elif read_hdf5(kept).digest() != demonstrations.digest():
-        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
     return demonstrations
+
+
+def _check_kept(kept: Path, demonstrations: Demonstrations, sources: Sequence[str]) -> None:
+    if kept.exists() and read_hdf5(kept).digest() != demonstrations.digest():
+        raise BadInputError(f"demos: must be those that the run holds in {kept}, found others in {', '.join(sources)}")
 
 
 def demonstrations_of(config: Configuration, run: Path) -> Demonstrations:
@@ -159,11 +162,14 @@ def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demon
         BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
     """
     check_scripted(config)
-    with console.stage("Demonstrating", config.demo.count) as stage:
-        generated = generate(
-            config.task, workcell.reachability, config.demo, config.inputs.seed, lambda done: stage.advance()
-        )
-    return generated.demonstrations, generated.redrawn
+    made = generated("Demonstrating", workcell, config.demo, config.inputs.seed)
+    return made.demonstrations, made.redrawn
+
+
+def generated(title: str, workcell: Workcell, settings: DemonstrationSettings, seed: int) -> Generated:
+    """Return new demonstrations of the scripted person; a bar with the title shows how far it has come."""
+    with console.stage(title, settings.count) as stage:
+        return generate(workcell.task, workcell.reachability, settings, seed, lambda done: stage.advance())
 
 
 def check_scripted(config: Configuration) -> None:
@@ -222,7 +228,7 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
 
 def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:
     """Return a picture of a motion, joints (N, 6), with paths (T, 3) drawn in, or None where nothing can draw it."""
-    from koopdqn.plots.scene import draw_motion
+    from koopdqn.plots.style import draw_motion
 
     if joints is None:
         return None
