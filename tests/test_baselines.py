@@ -14,10 +14,10 @@ from koopdqn.evaluation.baselines import (
     straight_line,
     straight_path,
 )
-from koopdqn.intent.fit import TURNS_PER_STEP
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses
 from koopdqn.tasks.rollout import SUCCESS
+from koopdqn.tasks.task import TURNS_PER_STEP
 
 
 @st.composite

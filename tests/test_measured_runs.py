@@ -58,7 +58,8 @@ class Together:
 
 def test_as_many_runs_as_jobs_are_made_at_once_and_those_of_a_chain_in_their_order(tmp_path: Path) -> None:
     runs = [Errand(f"{chain}{place}", tmp_path) for place in range(3) for chain in "abc"]
-    launcher, finished = Together(2), []
+    launcher = Together(2)
+    finished: list[Errand] = []
     status = measure("Runs", runs, finished.append, launcher, jobs=2, together=lambda run: run.name[0])
     assert status == 0
     assert launcher.most == 2

@@ -13,9 +13,9 @@ from parts import load_parts
 from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.demonstrations.csv import read_csv, write_csv
-from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.dataset import Demonstrations, Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.placement import Placement, blocked_at, found_placement
+from koopdqn.demonstrations.placement import blocked_at, found_placement
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array

@@ -16,7 +16,7 @@ from koopdqn.plots.demos import plot_demonstrations
 from koopdqn.plots.evaluation import plot_evaluation
 from koopdqn.plots.fit import plot_fit
 from koopdqn.plots.scene import draw_motion
-from koopdqn.plots.style import SERIES, picture, series_colours
+from koopdqn.plots.style import ASK, SERIES, picture, series_colours
 from koopdqn.plots.train import plot_training
 from koopdqn.rl.history import Check, History
 from koopdqn.tasks.rollout import STEP_LIMIT, SUCCESS, Episode
@@ -149,7 +149,7 @@ def test_fit(tmp_path: Path, fitted: "Fitted", demonstrations: "Demonstrations",
 def test_fit_shades_the_steps_at_which_the_expert_is_asked(
     tmp_path: Path, fitted: "Fitted", demonstrations: "Demonstrations", shelf_task: "ShelfTask"
 ) -> None:
-    shade = np.array(mpl.colors.to_rgb(fit.ASK)) * 255
+    shade = np.array(mpl.colors.to_rgb(ASK)) * 255
     shares = []
     for doubt in (0.1, np.inf):
         trust = replace(fitted.trust, doubt=np.full_like(fitted.trust.doubt, doubt))

@@ -70,7 +70,8 @@ def built(tmp_path_factory: pytest.TempPathFactory, folder: Path) -> Built:
     told: list[None] = []
 
     def counted(*arguments: Any) -> dict[str, Any]:
-        return build.build(*arguments[:-1], lambda: told.append(None))
+        counting = (*arguments[:-1], lambda: told.append(None))
+        return build.build(*counting)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(work)
@@ -212,7 +213,7 @@ def test_make_trains_and_evaluates_what_is_missing(
             write_evaluation(Path(given["out"]), chosen, given["run"])
         assert result.is_file()
 
-    shown: dict[str, Any] = {}
+    shown: dict[tuple[str, str], list[tuple[int, bool]]] = {}
 
     def draw(groups: "Groups", *rest: object) -> dict[str, Any]:
         shown.update({place: [(r.seed, r.evaluation is not None) for r in g.runs] for place, g in groups.items()})

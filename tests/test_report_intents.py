@@ -1,4 +1,4 @@
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
+    from koopdqn.intent.model import IntentModel
     from koopdqn.pose import Array
 
 
@@ -49,10 +50,15 @@ def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
 def test_a_study_validates_once(
     demonstrations: "Demonstrations", paper: "Parts", monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fits = []
+    fits: list[int] = []
     kind = type(paper.intent)
     fitted = kind.fit
-    monkeypatch.setattr(kind, "fit", lambda *given: fits.append(len(given[1])) or fitted(*given))
+
+    def counted(*given: Any) -> "IntentModel":
+        fits.append(len(given[1]))
+        return fitted(*given)
+
+    monkeypatch.setattr(kind, "fit", counted)
     three = first(demonstrations, 3)
     study(three, paper.task, paper.intent, paper.trust, paper.reward)
     # The whole and, in sixty samples, the fold that is shown; those of the cross-validation are fitted together.

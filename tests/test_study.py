@@ -115,7 +115,7 @@ def test_every_line_is_a_valid_config(task: str, line: Line) -> None:
     def loaded(overrides: Sequence[str]) -> tuple[object, ...]:
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
             config = compose("config", overrides=[*overrides, "out=unused"])
-        found = Configuration.load(OmegaConf.masked_copy(config, [key for key in config if key != "hydra"]))
+        found = Configuration.load(OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"]))
         return found.shaped_by(), found.train, found.oracle, found.eval
 
     run = Run(task, line, 0)
