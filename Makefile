@@ -59,6 +59,9 @@ ablations: $(STAMP) ## Measure each deviation from the paper, for at most MINUTE
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py --minutes $(MINUTES)
 
+sizes: $(STAMP) ## Print lines, modules, circles and upward imports of the package
+	$(BIN)/python scripts/sizes.py
+
 people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
 	$(BIN)/python scripts/people.py --data $(PEOPLE)
 
