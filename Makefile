@@ -33,9 +33,14 @@ demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learn
 
 # Two workers with one thread each: on few cores, threads that compete cost more than they give.
 test: $(STAMP) ## Run the fast tests
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	$(FAST_TESTS)
+
+coverage: $(STAMP) ## Run the fast tests; fails if they run too small a share of the package (pyproject.toml says how much)
+	$(FAST_TESTS) --cov --cov-report=term
 
 learn: $(STAMP) ## Run the slow tests, which learn whole tasks
+FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
 	$(BIN)/python -m pytest -m slow
 
 lint: $(STAMP) ## Check style, formatting, and that imports run one way without circles
