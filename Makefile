@@ -77,6 +77,9 @@ figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; ta
 	$(BIN)/python scripts/docs.py --measure
 
 package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
+site: $(STAMP) ## Build the documentation's site into site/; any warning fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 	$(BIN)/python scripts/check_package.py
 
 constraints: $(STAMP) ## Write constraints.txt from what VENV holds now
@@ -85,5 +88,5 @@ constraints: $(STAMP) ## Write constraints.txt from what VENV holds now
 	touch "$(STAMP)"
 
 clean: ## Remove build products and caches; the environment and runs/ stay
-	rm -rf dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find assets conf docs koopdqn scripts tests -name __pycache__ -type d -prune -exec rm -rf {} +

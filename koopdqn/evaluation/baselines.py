@@ -255,7 +255,7 @@ def floor(workcell: Workcell, starts: Array, joints: Array, step_limit: int) -> 
 def without_learning(
     workcell: Workcell, reward: IntentReward, trajectories: list[Array], starts: Array, joints: Array, step_limit: int
 ) -> Iterator[tuple[str, list[Episode]]]:
-    """Yield the episodes of every method of :class:`Baselines`, by its name.
+    """Yield the episodes of every method of :class:`koopdqn.evaluation.schema.Baselines`, by its name.
 
     Args:
         workcell: task, arm and scene.
