@@ -8,6 +8,9 @@ SHELL := bash
 VENV ?= .venv
 # The interpreter the environment is made with, once; empty: the first on PATH that is new enough.
 PYTHON ?=
+# The releases that are installed, one a line; empty: the newest that pyproject.toml allows.
+CONSTRAINTS ?= constraints.txt
+export CONSTRAINTS
 # The folder of motions of people that `make people` and `make ablations` measure.
 PEOPLE ?= ../shared/data
 # After how many minutes `make study` and `make ablations` begin no new run.
@@ -23,8 +26,8 @@ help: ## List the targets
 
 setup: $(STAMP) ## Make the virtual environment and install koopdqn there, editable, with pinned dependencies
 
-$(STAMP): pyproject.toml constraints.txt scripts/setup.sh
-	@bash scripts/setup.sh "$(VENV)" "$(PYTHON)"
+$(STAMP): pyproject.toml $(CONSTRAINTS) scripts/setup.sh
+	@bash scripts/setup.sh "$(VENV)" "$(PYTHON)" "$(CONSTRAINTS)"
 	@touch "$@"
 
 demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learned; results go to runs/
