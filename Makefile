@@ -19,7 +19,8 @@ MINUTES ?= 90
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench ablations study people docs figures package constraints clean
+.PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs site figures \
+	package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -35,6 +36,8 @@ demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learn
 	$(BIN)/koopdqn eval
 
 # Two workers with one thread each: on few cores, threads that compete cost more than they give.
+FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
 test: $(STAMP) ## Run the fast tests
 	$(FAST_TESTS)
 
@@ -42,8 +45,6 @@ coverage: $(STAMP) ## Run the fast tests; fails if they run too small a share of
 	$(FAST_TESTS) --cov --cov-report=term
 
 learn: $(STAMP) ## Run the slow tests, which learn whole tasks
-FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
-
 	$(BIN)/python -m pytest -m slow
 
 lint: $(STAMP) ## Check style, formatting, and that imports run one way without circles
@@ -58,6 +59,9 @@ format: $(STAMP) ## Mend formatting, and what style rules can mend by themselves
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
+sizes: $(STAMP) ## Print lines, modules, circles and upward imports of the package
+	$(BIN)/python scripts/sizes.py
+
 bench: $(STAMP) ## Measure speed on this machine
 	$(BIN)/python scripts/bench.py
 
@@ -67,22 +71,19 @@ ablations: $(STAMP) ## Measure each deviation from the paper, for at most MINUTE
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py --minutes $(MINUTES)
 
-sizes: $(STAMP) ## Print lines, modules, circles and upward imports of the package
-	$(BIN)/python scripts/sizes.py
-
 people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
 	$(BIN)/python scripts/people.py --data $(PEOPLE)
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py
 
+site: $(STAMP) ## Build the documentation's site into site/; any warning fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; takes minutes
 	$(BIN)/python scripts/docs.py --measure
 
 package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
-site: $(STAMP) ## Build the documentation's site into site/; any warning fails
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
-
 	$(BIN)/python scripts/check_package.py
 
 constraints: $(STAMP) ## Write constraints.txt from what VENV holds now

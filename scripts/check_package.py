@@ -37,12 +37,14 @@ SDIST_FILES = frozenset(
     {
         ".gitignore",  # hatchling adds it, to build the same wheel from the sdist
         "CHANGELOG.md",
+        "CITATION.cff",
         "CONTRIBUTING.md",
         "LICENSE",
         "Makefile",
         "PKG-INFO",
         "README.md",
         "constraints.txt",
+        "mkdocs.yml",
         "pyproject.toml",
     }
 )
