@@ -8,6 +8,9 @@ SHELL := bash
 VENV ?= .venv
 # The interpreter the environment is made with, once; empty: the first on PATH that is new enough.
 PYTHON ?=
+# The releases that are installed, one a line; empty: the newest that pyproject.toml allows.
+CONSTRAINTS ?= constraints.txt
+export CONSTRAINTS
 # The folder of motions of people that `make people` and `make ablations` measure.
 PEOPLE ?= ../shared/data
 # After how many minutes `make study` and `make ablations` begin no new run.
@@ -16,15 +19,16 @@ MINUTES ?= 90
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test learn lint format types bench ablations study people docs figures package constraints clean
+.PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs site figures \
+	package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
 
 setup: $(STAMP) ## Make the virtual environment and install koopdqn there, editable, with pinned dependencies
 
-$(STAMP): pyproject.toml constraints.txt scripts/setup.sh
-	@bash scripts/setup.sh "$(VENV)" "$(PYTHON)"
+$(STAMP): pyproject.toml $(CONSTRAINTS) scripts/setup.sh
+	@bash scripts/setup.sh "$(VENV)" "$(PYTHON)" "$(CONSTRAINTS)"
 	@touch "$@"
 
 demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learned; results go to runs/
@@ -32,8 +36,13 @@ demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learn
 	$(BIN)/koopdqn eval
 
 # Two workers with one thread each: on few cores, threads that compete cost more than they give.
+FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
 test: $(STAMP) ## Run the fast tests
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	$(FAST_TESTS)
+
+coverage: $(STAMP) ## Run the fast tests; fails if they run too small a share of the package (pyproject.toml says how much)
+	$(FAST_TESTS) --cov --cov-report=term
 
 learn: $(STAMP) ## Run the slow tests, which learn whole tasks
 	$(BIN)/python -m pytest -m slow
@@ -50,6 +59,9 @@ format: $(STAMP) ## Mend formatting, and what style rules can mend by themselves
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
+sizes: $(STAMP) ## Print lines, modules, circles and upward imports of the package
+	$(BIN)/python scripts/sizes.py
+
 bench: $(STAMP) ## Measure speed on this machine
 	$(BIN)/python scripts/bench.py
 
@@ -65,6 +77,9 @@ people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, g
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py
 
+site: $(STAMP) ## Build the documentation's site into site/; any warning fails
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
 figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; takes minutes
 	$(BIN)/python scripts/study.py figures
 
@@ -77,5 +92,5 @@ constraints: $(STAMP) ## Write constraints.txt from what VENV holds now
 	touch "$(STAMP)"
 
 clean: ## Remove build products and caches; the environment and runs/ stay
-	rm -rf dist .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find assets conf docs koopdqn scripts tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Makes the virtual environment VENV unless a usable one is there, and installs koopdqn into it,
-# editable, with the releases constraints.txt pins. Touches nothing outside VENV.
-# Usage: scripts/setup.sh VENV [PYTHON]
+# Makes the virtual environment VENV unless a usable one is there, and installs koopdqn into it, editable, with
+# the releases that CONSTRAINTS pins; empty, with the newest that are allowed. Touches nothing outside VENV.
+# Usage: scripts/setup.sh VENV [PYTHON [CONSTRAINTS]]
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 venv=$1
 wanted=${2:-}
+constraints=${3-constraints.txt}
 need="koopdqn needs Python 3.11 or later with its venv module (Debian, Ubuntu: the package python3-venv)"
 
 # Running it is the only sure test: a version manager's shim may be on PATH and lead nowhere.
@@ -37,4 +38,4 @@ if ! usable "$venv/bin/python"; then
 fi
 
 echo "installing koopdqn into $venv; the first time this takes some minutes"
-"$venv/bin/python" -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'
+"$venv/bin/python" -m pip install -qq --disable-pip-version-check ${constraints:+-c "$constraints"} -e '.[dev]'

@@ -7,10 +7,32 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from threading import Event, Lock
 from time import monotonic
+from typing import Protocol, TypeVar
 
-from study_runs import IMITATE, Launch, Run
+from study_runs import IMITATE, Launch
 
 from koopdqn import console
+
+
+class Work(Protocol):
+    """What can be carried out beside other work."""
+
+    @property
+    def name(self) -> str:
+        """Shown while it is carried out."""
+
+    @property
+    def chain(self) -> Hashable:
+        """Works of one chain are carried out one after another."""
+
+    def finished(self) -> bool:
+        """Return whether nothing is left to do."""
+
+    def carry_out(self, launch: Launch) -> str:
+        """Do what is left; return what went wrong, or nothing."""
+
+
+W = TypeVar("W", bound=Work)
 
 _processes: set[subprocess.Popen[bytes]] = set()
 
@@ -35,8 +57,8 @@ def call(arguments: Sequence[str], output: Path) -> int:
 
 def measure(
     title: str,
-    runs: Sequence[Run],
-    finished: Callable[[Run], None],
+    runs: Sequence[W],
+    finished: Callable[[W], None],
     launch: Launch = launch,
     minutes: float | None = None,
     jobs: int = 1,
@@ -51,13 +73,13 @@ def measure(
         minutes: after which no new run is begun; None for no limit.
         jobs: how many runs are made side by side.
     """
-    chains: dict[Hashable, list[Run]] = {}
+    chains: dict[Hashable, list[W]] = {}
     for run in runs:
         chains.setdefault(run.chain, []).append(run)
     began, stopped, one_at_a_time = monotonic(), Event(), Lock()
     crashes: list[str] = []
 
-    def carry_on(chain: Iterable[Run]) -> None:
+    def carry_on(chain: Iterable[W]) -> None:
         try:
             for run in chain:
                 late = minutes is not None and monotonic() - began >= 60 * minutes

@@ -3,6 +3,8 @@
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 import pytest
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
 # MuJoCo reads this once, at its first import; unset it means GLFW, which needs a display.
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
     os.environ.setdefault("MUJOCO_GL", "egl")
+
+# PyTorch's CUDA builds bring Triton, which crashes where Mesa's renderer has loaded another LLVM before it.
+with suppress(ImportError):
+    import_module("triton")
 
 # Hydra closes every log handler when it sets up its own; absl's (of dm_control) would close pytest's captured stream.
 absl_logging.get_absl_handler().python_handler.setStream(sys.__stderr__)

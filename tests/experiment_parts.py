@@ -79,7 +79,11 @@ class Launcher:
             return 0
         if self.train_status < 2:
             learned = self.train_status == 0
-            report = {"learned": learned, "learned_at_env_steps": 100 if learned else None, "checks": []}
+            report: dict[str, Any] = {
+                "learned": learned,
+                "learned_at_env_steps": 100 if learned else None,
+                "checks": [],
+            }
             agreement = {"trusted": 0.99, "remembered": None}
             report |= {"oracle_queries": 7, "seconds": 30.0, "reward_agreement": agreement, "made_from": made_from}
             write(folder / "train.json", report)

@@ -22,7 +22,9 @@ def derivation(**fields: object) -> Derivation:
 
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         config = compose("config", overrides=["task=demonstrated"])
-    found = load_settings({**OmegaConf.to_container(config.task, resolve=True), **fields}, TaskChoice, "task")
+    values = OmegaConf.to_container(config.task, resolve=True)
+    assert isinstance(values, dict)
+    found = load_settings({**values, **fields}, TaskChoice, "task")
     assert isinstance(found, Derivation)
     return found
 

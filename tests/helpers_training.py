@@ -8,6 +8,7 @@ import numpy as np
 from parts import Clerk, Parts
 
 from koopdqn.intent.reward import IntentReward
+from koopdqn.intent.tube import Tube
 from koopdqn.oracles.base import Oracle
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
@@ -66,6 +67,7 @@ def small_trainer(
 
 def untrusting(reward: IntentReward) -> IntentReward:
     """The same reward with a trust domain that trusts nothing, so that everything legal is asked."""
+    assert isinstance(reward.trust, Tube)
     trust = replace(reward.trust, radius=1e-6 * reward.trust.radius)
     return IntentReward(reward.task, reward.model, trust, reward.settings)
 

@@ -31,7 +31,7 @@ def written(path: Path, answers: Iterable[Answer]) -> list[Answer]:
     """Write a journal of answers to questions 0, 1, 2, ... and return what the run was told."""
     reader = Reader(answers)
     oracle = JournalledOracle(reader, path, 0)
-    told = []
+    told: list[Answer] = []
     while len(reader.asked) < len(reader.answers):
         told.append(oracle.answer(question(len(told))))
     oracle.close()

@@ -111,4 +111,4 @@ class Session:
         while self.read() and time.monotonic() < until:
             pass
         self.child.wait()
-        return -self.child.signalstatus if self.child.signalstatus else self.child.exitstatus
+        return int(-self.child.signalstatus if self.child.signalstatus else self.child.exitstatus)

@@ -5,6 +5,7 @@ from parts import Parts, load_parts
 
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
+from koopdqn.intent.box import BoxSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.settings import load_settings
 
@@ -31,6 +32,7 @@ def test_the_paper_preset_is_table_a1(paper: Parts) -> None:
     assert (agent.learning_rate, agent.replay, agent.batch, agent.double) == (1e-5, 10_000, 1000, False)
     assert paper.train.max_episodes == 1500
     assert (paper.reward.shape, paper.reward.prediction) == ("sign", "raw")
+    assert isinstance(paper.trust, BoxSettings)
     assert (paper.trust.matching, paper.trust.needs) == ("step", "reached")
     assert paper.task.goal_tolerance_m == 0.005
     assert paper.task.position_tolerance_m == 0.002

@@ -27,7 +27,7 @@ def test_every_name_of_the_api_is_there_and_described(name: str) -> None:
 
 def test_an_unknown_name_is_no_attribute() -> None:
     with pytest.raises(AttributeError, match=r"has no attribute .trian"):
-        koopdqn.trian  # type: ignore[attr-defined]  # noqa: B018
+        koopdqn.trian  # noqa: B018
 
 
 @pytest.mark.parametrize(

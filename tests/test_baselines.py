@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.evaluation.baselines import Greedy, replay_path, straight_path
-from koopdqn.intent.fit import TURNS_PER_STEP
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses
 from koopdqn.tasks.rollout import SUCCESS, follow, roll_out
+from koopdqn.tasks.task import TURNS_PER_STEP
 
 
 @st.composite

@@ -1,3 +1,4 @@
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -39,13 +40,13 @@ def view(scene: "Scene", motion: "Array") -> View:
 
 
 @pytest.fixture(scope="module")
-def camera(scene: "Scene"):
+def camera(scene: "Scene") -> Iterator[Camera]:
     with Camera(scene, SIZE) as opened:
         yield opened
 
 
 def changed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    return np.abs(first.astype(int) - second.astype(int)).max(axis=2) > 25
+    return np.asarray(np.abs(first.astype(int) - second.astype(int)).max(axis=2) > 25)
 
 
 def test_picture_has_the_size_asked_for_and_shows_something(camera: Camera, view: View, motion: "Array") -> None:

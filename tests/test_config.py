@@ -149,7 +149,7 @@ class TestTarget:
         assert loaded == Task(step_m=1.0)
 
     def test_may_implement_a_protocol(self) -> None:
-        loaded: HasStep = load_settings({"target": f"{HERE}.Task", "step_m": 1.0}, HasStep, "task")  # type: ignore[type-abstract]  # a protocol is allowed
+        loaded: HasStep = load_settings({"target": f"{HERE}.Task", "step_m": 1.0}, HasStep, "task")
         assert loaded.step_m == 1.0
 
     def test_may_live_in_the_users_own_package(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -177,7 +177,7 @@ class TestTarget:
     def test_a_class_that_breaks_its_protocol_or_is_no_settings_is_refused(self) -> None:
         for name in ("Other", "NotSettings"):
             with pytest.raises(BadInputError, match=f"task.target: .*found {HERE}.{name}"):
-                load_settings({"target": f"{HERE}.{name}"}, HasStep, "task")  # type: ignore[type-abstract]  # as above
+                load_settings({"target": f"{HERE}.{name}"}, HasStep, "task")
 
     def test_an_absent_one_and_a_module_that_fails_are_explained(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

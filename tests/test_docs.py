@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from experiment import load
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from typer.main import get_command
 
 from koopdqn.app import cli
@@ -135,7 +135,9 @@ def test_a_command_shown_composes_to_a_valid_config(
     status = cli.main([command, *arguments, *shown])
     streams = capsys.readouterr()
     assert (status, streams.err) == (0, "")
-    assert Configuration.load(OmegaConf.create(streams.out)).inputs.command == command
+    config = OmegaConf.create(streams.out)
+    assert isinstance(config, DictConfig)
+    assert Configuration.load(config).inputs.command == command
 
 
 def test_the_make_targets_shown_exist() -> None:

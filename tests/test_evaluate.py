@@ -17,6 +17,7 @@ from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import Evaluation, EvaluationSettings, evaluate, work_units
 from koopdqn.evaluation.schema import EvaluationReport, MethodReport
 from koopdqn.pose import Array
+from koopdqn.schema import ReportModel
 from koopdqn.settings import validate
 from koopdqn.tasks.rollout import SUCCESS, Controller
 
@@ -122,7 +123,7 @@ def test_dynamics_runs_the_first_successful_paths_only() -> None:
 
 def models() -> list[type[BaseModel]]:
     found = [value for value in vars(schema).values() if isinstance(value, type)]
-    return [value for value in found if issubclass(value, schema.ReportModel) and value is not schema.ReportModel]
+    return [value for value in found if issubclass(value, ReportModel) and value is not ReportModel]
 
 
 @pytest.mark.parametrize("model", models(), ids=lambda model: model.__name__)

@@ -107,7 +107,7 @@ def known(model: type[BaseModel], path: list[str]) -> bool:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_values_are_keys_of_the_result_files(name: str) -> None:
-    files = {"train": TrainReport, "eval": EvaluationFile, "fit": FitReport}
+    files: dict[str, type[BaseModel]] = {"train": TrainReport, "eval": EvaluationFile, "fit": FitReport}
     made = {"finished", "train.least_check", "fit.reached_share", "result.placed"}
     made |= {"result.hausdorff_mm.dmp", "result.hausdorff_mm.promp"}
     paths = {path for paths in load(name).values.values() for path in paths.split(" or ")} - made

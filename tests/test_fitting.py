@@ -188,7 +188,9 @@ def test_the_same_demonstrations_give_the_same_fit(demonstrations: Demonstration
     few = Demonstrations("shelf", "UR5", demonstrations.items[:2])
     one, two = (fit(few, parts.task, parts.intent, parts.trust, parts.reward) for _ in range(2))
     np.testing.assert_array_equal(one.model.matrices["K"].matrix, two.model.matrices["K"].matrix)
-    np.testing.assert_array_equal(one.trust.radius, two.trust.radius)
+    assert one.trust.arrays().keys() == two.trust.arrays().keys()
+    for name, values in one.trust.arrays().items():
+        np.testing.assert_array_equal(two.trust.arrays()[name], values, err_msg=name)
     assert one.report == two.report
 
 

@@ -9,7 +9,7 @@ from parts import Clerk
 from questions import question
 
 from koopdqn.errors import BadInputError
-from koopdqn.oracles.base import Answer, Question
+from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.oracles.journal import read_lines
 from koopdqn.oracles.replay import JournalledOracle
 
@@ -26,7 +26,7 @@ def filled(path: Path, count: int) -> list[Answer]:
     return answers
 
 
-class _Reader:
+class _Reader(Oracle):
     """An oracle that looks at the journal while it is asked."""
 
     def __init__(self, path: Path) -> None:
@@ -36,9 +36,6 @@ class _Reader:
     def answer(self, question: Question) -> Answer:
         self.seen.append(len(read_lines(self.path)))
         return Answer(True, "reader")
-
-    def close(self) -> None:
-        return
 
 
 def test_every_answer_is_on_disk_before_it_is_given(tmp_path: Path) -> None:

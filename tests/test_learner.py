@@ -81,7 +81,7 @@ def test_transitions_of_one_state_teach_the_same_whether_they_lie_together_or_no
     rng = np.random.default_rng(3)
     states = np.repeat(rng.normal(size=(8, 5)).astype(np.float32), 4, axis=0)
     stops = {"terminated": rng.random(32) < 0.3, "undone": rng.random(32) < 0.5}
-    together = batch(0, observations=states, **stops)
+    together = batch(0, 32, observations=states, **stops)
     order = rng.permutation(32)
     scattered = Transitions(**{name: getattr(together, name)[order] for name in FIELDS})
     one, two = learner(agent), learner(agent)

@@ -7,6 +7,7 @@ from koopdqn import pose
 from koopdqn.intent.correction import corrected, restored
 from koopdqn.intent.fit import Fitted
 from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.separate import SeparateIntent
 from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 from koopdqn.resources import conf_dir
@@ -77,7 +78,9 @@ def test_rolling_out_is_predicting_again_and_again(fitted: Fitted, parts: Parts)
 
 
 def test_the_papers_model_is_uncentred_and_of_demonstrated_pairs_alone(paper: Parts, trajectories: list[Array]) -> None:
-    model = IntentModel.fit(trajectories, paper.task, paper.intent).position
+    intent = IntentModel.fit(trajectories, paper.task, paper.intent)
+    assert isinstance(intent, SeparateIntent)
+    model = intent.position
     np.testing.assert_array_equal(model.center, 0.0)
     assert model.scale == 1.0
     assert model.matrix.shape == (9, 9)
@@ -178,5 +181,7 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
 @pytest.mark.parametrize("center", [True, False])
 def test_the_center_is_the_goal_only_where_said(parts: Parts, trajectories: list[Array], center: bool) -> None:
     settings = load_parts("intent=fourier").intent.model_copy(update={"goal_centered": center})
-    model = IntentModel.fit(trajectories[:2], parts.task, settings).position
+    intent = IntentModel.fit(trajectories[:2], parts.task, settings)
+    assert isinstance(intent, SeparateIntent)
+    model = intent.position
     np.testing.assert_array_equal(model.center, parts.task.goal[:3] if center else np.zeros(3))

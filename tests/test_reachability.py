@@ -58,6 +58,7 @@ def test_a_batch_of_motions_is_each_by_itself(workcell: Workcell) -> None:
         alone = workcell.reachability.move(target, seed)
         assert (motion.reason, motion.detail) == (alone.reason, alone.detail)
         if alone.joints is not None:
+            assert motion.joints is not None
             np.testing.assert_allclose(motion.joints, alone.joints, atol=1e-9)
     assert workcell.reachability.move_batch(np.zeros((0, 7)), np.zeros((0, 6))) == []
 

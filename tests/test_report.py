@@ -39,7 +39,7 @@ def test_make_trains_and_evaluates_what_is_missing(
             write_evaluation(Path(given["out"]), chosen, given["run"])
         assert result.is_file()
 
-    shown: dict[str, Any] = {}
+    shown: dict[tuple[str, str], Any] = {}
 
     def draw(groups: "Groups", *rest: object) -> dict[str, Any]:
         shown.update({place: [(r.seed, r.evaluation is not None) for r in runs] for place, runs in groups.items()})

@@ -1,7 +1,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -63,9 +63,14 @@ def test_the_expert_is_asked_where_the_trust_domain_of_the_others_ends(
 def test_nothing_is_fitted_beside_the_cross_validation(
     demonstrations: "Demonstrations", paper: "Parts", monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fits = []
+    fits: list[int] = []
     fitted = IntentModel.fit
-    monkeypatch.setattr(IntentModel, "fit", lambda *given: fits.append(len(given[0])) or fitted(*given))
+
+    def counted(*given: Any) -> IntentModel:
+        fits.append(len(given[0]))
+        return fitted(*given)
+
+    monkeypatch.setattr(IntentModel, "fit", counted)
     studied(first(demonstrations, 3), paper)
     # The whole; the models of the others come from the cross-validation.
     assert fits == [3]

@@ -180,8 +180,10 @@ def built(tmp_path_factory: pytest.TempPathFactory, folder: Path) -> Built:
     work = tmp_path_factory.mktemp("work")
     told: list[None] = []
 
-    def counted(*arguments: Any) -> dict[str, Any]:
-        return build(*arguments[:-1], lambda: told.append(None))
+    def counted(
+        groups: Any, presets: Any, intents: Any, left_out: Any, ablations: Path, folder: Path, _: object
+    ) -> dict[str, Any]:
+        return build(groups, presets, intents, left_out, ablations, folder, lambda: told.append(None))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(work)

@@ -108,8 +108,9 @@ def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, traj
 def test_what_must_be_trusted_is_the_reached_state_or_both(
     reward: IntentReward, trajectories: list[Array], needs: str
 ) -> None:
-    settings_ = reward.trust.settings.model_copy(update={"needs": needs})
-    trust = replace(undoubting(reward).trust, settings=settings_, radius=0.6 * reward.trust.radius)
+    sure = undoubting(reward).trust
+    assert isinstance(sure, Tube)
+    trust = replace(sure, settings=sure.settings.model_copy(update={"needs": needs}), radius=0.6 * sure.radius)
     judged = IntentReward(reward.task, reward.model, trust, SIGN).evaluate_actions(
         *(data := beside(trajectories, 3, 200, 0.012))
     )

@@ -62,7 +62,8 @@ class Together:
 
 def test_as_many_runs_as_jobs_are_made_at_once_and_those_of_a_chain_in_their_order(tmp_path: Path) -> None:
     runs = [Errand(f"{chain}{place}", tmp_path) for place in range(3) for chain in "abc"]
-    launcher, finished = Together(tmp_path, 2), []
+    finished: list[Errand] = []
+    launcher = Together(tmp_path, 2)
     assert measure("Runs", runs, finished.append, launcher, jobs=2) == 0
     assert launcher.most == 2
     assert sorted(run.name for run in finished) == sorted(run.name for run in runs)
@@ -85,7 +86,8 @@ def test_no_run_is_begun_after_the_time_but_finished_ones_are_told_of(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "done").mkdir()
-    launcher, finished = Together(tmp_path, 1), []
+    finished: list[Errand] = []
+    launcher = Together(tmp_path, 1)
     runs = [Errand("done", tmp_path), Errand("late", tmp_path)]
     assert measure("Runs", runs, finished.append, launcher, minutes=0) == 0
     assert (launcher.begun, finished) == ([], runs[:1])
@@ -95,7 +97,8 @@ def test_no_run_is_begun_after_the_time_but_finished_ones_are_told_of(
 def test_a_crash_is_told_and_listed_at_the_end_and_the_others_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    good, finished = Together(tmp_path, 1), []
+    finished: list[Errand] = []
+    good = Together(tmp_path, 1)
 
     def launch(command: str, arguments: Sequence[str], output: Path) -> int:
         return 1 if arguments[0] == "bad" else good(command, arguments, output)

@@ -19,7 +19,7 @@ headings = st.floats(-np.pi, np.pi, allow_nan=False)
 
 
 def stepped(here: Array, wished: Array, goal: Array) -> Array:
-    return one_step(here[None], wished[None], goal, STEP, TURN)[0]
+    return np.asarray(one_step(here[None], wished[None], goal, STEP, TURN)[0])
 
 
 def made(here: Array, wished: Array, goal: Array) -> tuple[float, float]:

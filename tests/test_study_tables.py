@@ -64,7 +64,7 @@ def test_a_row_is_over_its_seeds_and_says_only_what_differs() -> None:
 
 
 def test_a_row_of_which_nothing_is_known_is_left_out_and_unknown_values_do_not_count() -> None:
-    unknown = dict.fromkeys(("learned", "success_rate", "oracle_queries"))
+    unknown: dict[str, Any] = dict.fromkeys(("learned", "success_rate", "oracle_queries"))
     _, _, *left = rows(SUMMARY, [result(), result(2, oracle_queries=None), result(1, "sign", **unknown)])
     assert [row[-3:] for row in left] == [["2 of 2", "100", "10"]]
 

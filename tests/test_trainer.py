@@ -10,6 +10,7 @@ from helpers_training import FORGETFUL, UNCHECKED, assert_same_run, small_traine
 from parts import Clerk, Parts
 
 from koopdqn.intent.reward import ASKED, TRUSTED, IntentReward
+from koopdqn.intent.tube import Tube
 from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.oracles.journal import read_lines
 from koopdqn.oracles.replay import JournalledOracle
@@ -38,6 +39,7 @@ def make(parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: l
 
 def half_trusting(reward: IntentReward) -> IntentReward:
     """The same reward with a narrow trust domain, so that some things are known and some must be asked."""
+    assert isinstance(reward.trust, Tube)
     narrow = replace(reward.trust, radius=0.5 * reward.trust.radius)
     return IntentReward(reward.task, reward.model, narrow, reward.settings)
 
@@ -348,7 +350,7 @@ def test_without_stepping_back_wrong_actions_move_and_limits_truncate(make: Make
     assert np.array(trainer.history.lengths)[exploring].max() <= 8
 
 
-class _Interrupting:
+class _Interrupting(Oracle):
     """An expert whose user presses Ctrl-C at one question."""
 
     def __init__(self, expert: Oracle, at: int) -> None:

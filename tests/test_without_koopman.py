@@ -32,7 +32,7 @@ def line(task: Task, count: int = COUNT, turned: float = 0.0) -> Array:
 
 def beside(here: Array, offset: list[float]) -> Array:
     """Return a pose (1, 7) beside another (7,), off in x and z [m]."""
-    return (here + np.array([offset[0], 0.0, offset[1], 0, 0, 0, 0]))[None]
+    return np.asarray((here + np.array([offset[0], 0.0, offset[1], 0, 0, 0, 0]))[None])
 
 
 @given(index=indices, offset=offsets)
