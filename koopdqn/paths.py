@@ -127,10 +127,13 @@ def _crossing(before: Array, after: Array, last: Array, moved: Array, turned: Ar
     turning = np.flatnonzero(turned >= turn)
     if turning.size:
         low, high = np.zeros(len(turning)), np.ones(len(turning))
+        begin, end = before[turning], after[turning]
+        way = pose.Geodesic.between(begin[:, pose.QUATERNION], end[:, pose.QUATERNION])
+        angle, back = pose.rotation_distance(begin, end), pose.conjugate(last[turning][:, pose.QUATERNION])
         for _ in range(40):
             middle = 0.5 * (low + high)
-            there = between(before[turning], after[turning], middle)
-            short = pose.rotation_distance(there, last[turning]) < turn
+            there = pose.normalized(way.turned(middle * angle))
+            short = pose.angle_of(pose.multiply(there, back)) < turn
             low, high = np.where(short, middle, low), np.where(short, high, middle)
         share[turning] = np.minimum(share[turning], high)
     return between(before, after, share)

@@ -4,6 +4,7 @@ A pose is an array whose last axis holds 7 numbers: position x, y, z in metres a
 quaternion w, x, y, z. Every function is vectorised over leading axes, written ``...``.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,15 @@ QUATERNION: Final = slice(3, 7)
 IDENTITY: Final[tuple[float, ...]] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 _SMALL_ANGLE = 1e-8
+_EPSILON = float(np.finfo(float).eps)
+# Row i of left.w, left.x, left.y, left.z times these entries of the right quaternion, so signed, adds up to w, x, y, z.
+_PRODUCT_ENTRIES: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_PRODUCT_SIGNS: Final = np.array([[1.0, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
+# Numbers of two arrays up to which the other way to multiply them is faster.
+_FEW = 800
+_NEXT: Final = np.array([1, 2, 0])
+_LAST: Final = np.array([2, 0, 1])
+_CONJUGATE: Final = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def make(position: ArrayLike, quaternion: ArrayLike) -> Array:
@@ -36,10 +46,15 @@ def normalized(quaternion: ArrayLike) -> Array:
         ValueError: a quaternion has no length, or is not finite.
     """
     quaternion = np.asarray(quaternion, dtype=float)
-    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    if not np.all(np.isfinite(length)) or np.any(length < 1e-12):
+    length = norm(quaternion, keepdims=True)
+    if not ((length >= 1e-12) & (length < np.inf)).all():
         raise ValueError("a quaternion must be finite and longer than 1e-12")
     return np.asarray(quaternion / length, dtype=float)
+
+
+def norm(vectors: Array, keepdims: bool = False) -> Array:
+    """Return the lengths (...) of vectors (..., d), or (..., 1): NumPy's own to the last bit, with less around it."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1, keepdims=keepdims)))
 
 
 def canonical(quaternion: ArrayLike) -> Array:
@@ -50,35 +65,43 @@ def canonical(quaternion: ArrayLike) -> Array:
 
 def conjugate(quaternion: ArrayLike) -> Array:
     """Return the inverse of unit quaternions (..., 4)."""
-    return np.asarray(np.multiply(quaternion, [1.0, -1.0, -1.0, -1.0]), dtype=float)
+    return np.asarray(np.multiply(quaternion, _CONJUGATE), dtype=float)
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> Array:
     """Return the Hamilton product (..., 4): first the rotation ``right``, then ``left``."""
     left, right = np.asarray(left, dtype=float), np.asarray(right, dtype=float)
+    if left.size + right.size <= _FEW:
+        # Poses often come one by one, and then the calls cost more than the arithmetic.
+        terms = right.take(_PRODUCT_ENTRIES, axis=-1)
+        terms *= _PRODUCT_SIGNS
+        terms = left[..., None] * terms
+        few: Array = terms[..., 0, :] + terms[..., 1, :]
+        few += terms[..., 2, :]
+        few += terms[..., 3, :]
+        return few
     lw, lx, ly, lz = (left[..., i] for i in range(4))
     rw, rx, ry, rz = (right[..., i] for i in range(4))
-    return np.stack(
-        [
-            lw * rw - lx * rx - ly * ry - lz * rz,
-            lw * rx + lx * rw + ly * rz - lz * ry,
-            lw * ry - lx * rz + ly * rw + lz * rx,
-            lw * rz + lx * ry - ly * rx + lz * rw,
-        ],
-        axis=-1,
-    )
+    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product[..., 0] = lw * rw - lx * rx - ly * ry - lz * rz
+    product[..., 1] = lw * rx + lx * rw + ly * rz - lz * ry
+    product[..., 2] = lw * ry - lx * rz + ly * rw + lz * rx
+    product[..., 3] = lw * rz + lx * ry - ly * rx + lz * rw
+    return product
 
 
 def rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
     """Return vectors (..., 3) turned by unit quaternions (..., 4)."""
     quaternion, vector = np.asarray(quaternion, dtype=float), np.asarray(vector, dtype=float)
     w, u = quaternion[..., :1], quaternion[..., 1:]
-    twice = 2.0 * _cross(u, vector)
-    return np.asarray(vector + w * twice + _cross(u, twice), dtype=float)
+    twice = 2.0 * cross(u, vector)
+    return np.asarray(vector + w * twice + cross(u, twice), dtype=float)
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Return the cross products (..., 3) of vectors (..., 3), twice as fast as numpy's where they are few."""
+def cross(a: Array, b: Array) -> Array:
+    """Return the cross products (..., 3) of vectors (..., 3), NumPy's own in half the time where they are few."""
+    if a.size + b.size <= _FEW:
+        return a.take(_NEXT, axis=-1) * b.take(_LAST, axis=-1) - a.take(_LAST, axis=-1) * b.take(_NEXT, axis=-1)
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         product[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
@@ -89,7 +112,7 @@ def to_rotation_vector(quaternion: ArrayLike) -> Array:
     """Return rotation vectors (..., 3) [rad] of length 0…π, the logarithm of unit quaternions (..., 4)."""
     quaternion = canonical(quaternion)
     axis = quaternion[..., 1:]
-    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    sine = norm(axis, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quaternion[..., :1])
     small = sine < _SMALL_ANGLE
     return axis * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
@@ -98,9 +121,11 @@ def to_rotation_vector(quaternion: ArrayLike) -> Array:
 def from_rotation_vector(vector: ArrayLike) -> Array:
     """Return unit quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
     vector = np.asarray(vector, dtype=float)
-    half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
-    # np.sinc(x) is sin(πx)/(πx), smooth at zero.
-    return np.concatenate([np.cos(half), 0.5 * vector * np.sinc(half / np.pi)], axis=-1)
+    half = 0.5 * norm(vector, keepdims=True)
+    # np.sinc without what it looks up in every call: sin(x)/x, smooth at zero.
+    angle = np.pi * (half / np.pi)
+    angle = np.where(angle, angle, _EPSILON)
+    return np.concatenate([np.cos(half), 0.5 * vector * (np.sin(angle) / angle)], axis=-1)
 
 
 def to_matrix(quaternion: ArrayLike) -> Array:
@@ -144,7 +169,7 @@ def from_roll_pitch_yaw(angles: ArrayLike) -> Array:
 def position_distance(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the Euclidean distance (...) [m] between poses (..., 7): Eq. 15 of the paper."""
     difference = np.asarray(a, dtype=float)[..., POSITION] - np.asarray(b, dtype=float)[..., POSITION]
-    return np.asarray(np.linalg.norm(difference, axis=-1))
+    return norm(difference)
 
 
 def rotation_distance(a: ArrayLike, b: ArrayLike) -> Array:
@@ -154,8 +179,12 @@ def rotation_distance(a: ArrayLike, b: ArrayLike) -> Array:
     which keeps full precision at small angles, where arccos of the dot product loses it.
     """
     a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
-    relative = multiply(a[..., QUATERNION], conjugate(b[..., QUATERNION]))
-    return np.asarray(2.0 * np.arctan2(np.linalg.norm(relative[..., 1:], axis=-1), np.abs(relative[..., 0])))
+    return angle_of(multiply(a[..., QUATERNION], conjugate(b[..., QUATERNION])))
+
+
+def angle_of(quaternion: Array) -> Array:
+    """Return the rotation angles (...) [rad], 0…π, of unit quaternions (..., 4)."""
+    return np.asarray(2.0 * np.arctan2(norm(quaternion[..., 1:]), np.abs(quaternion[..., 0])))
 
 
 def turned_toward(quaternion: ArrayLike, goal: ArrayLike, angle: ArrayLike) -> Array:
@@ -164,19 +193,44 @@ def turned_toward(quaternion: ArrayLike, goal: ArrayLike, angle: ArrayLike) -> A
     A negative angle turns away from it. This is unit quaternion interpolation (§3.4). Half a turn away the geodesic is
     not unique; the sense of the quaternion as given then decides.
     """
-    quaternion, goal = np.asarray(quaternion, dtype=float), np.asarray(goal, dtype=float)
-    relative = to_rotation_vector(multiply(goal, conjugate(quaternion)))
-    total = np.linalg.norm(relative, axis=-1, keepdims=True)
-    angle = np.asarray(angle, dtype=float)[..., None]
-    share = np.minimum(angle / np.where(total > 0, total, 1.0), 1.0)
-    result = normalized(multiply(from_rotation_vector(share * relative), quaternion))
-    return np.where(angle >= total, goal, result)
+    return Geodesic.between(quaternion, goal).turned(angle)
+
+
+@dataclass(frozen=True)
+class Geodesic:
+    """The shortest turns from quaternions to others.
+
+    Attributes:
+        quaternion: (..., 4) where they begin.
+        goal: (..., 4) where they end.
+        relative: (..., 3) the rotation vectors of the whole turns [rad].
+        total: (..., 1) their angles [rad].
+    """
+
+    quaternion: Array
+    goal: Array
+    relative: Array
+    total: Array
+
+    @classmethod
+    def between(cls, quaternion: ArrayLike, goal: ArrayLike) -> "Geodesic":
+        """Return the turns from quaternions (..., 4) to others (..., 4)."""
+        quaternion, goal = np.asarray(quaternion, dtype=float), np.asarray(goal, dtype=float)
+        relative = to_rotation_vector(multiply(goal, conjugate(quaternion)))
+        return cls(quaternion, goal, relative, norm(relative, keepdims=True))
+
+    def turned(self, angle: ArrayLike) -> Array:
+        """Return the quaternions (..., 4) after ``angle`` (...) [rad] of the turns, at most at their ends."""
+        angle = np.asarray(angle, dtype=float)[..., None]
+        share = np.minimum(angle / np.where(self.total > 0, self.total, 1.0), 1.0)
+        result = normalized(multiply(from_rotation_vector(share * self.relative), self.quaternion))
+        return np.where(angle >= self.total, self.goal, result)
 
 
 def moved_toward(position: ArrayLike, goal: ArrayLike, distance: ArrayLike) -> Array:
     """Return positions (..., 3) moved by ``distance`` (...) [m] straight to ``goal``, clamped there."""
     position, goal = np.asarray(position, dtype=float), np.asarray(goal, dtype=float)
-    total = np.linalg.norm(goal - position, axis=-1, keepdims=True)
+    total = norm(goal - position, keepdims=True)
     distance = np.asarray(distance, dtype=float)[..., None]
     share = np.clip(distance / np.where(total > 0, total, 1.0), 0.0, 1.0)
     return np.where(distance >= total, goal, position + share * (goal - position))

@@ -4,7 +4,14 @@ import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koopdqn.intent.koopman import KoopmanModel, koopman_matrix, koopman_rows, snapshot_pairs, within_radius
+from koopdqn.intent.koopman import (
+    KoopmanModel,
+    koopman_matrix,
+    koopman_of_blocks,
+    koopman_rows,
+    snapshot_pairs,
+    within_radius,
+)
 from koopdqn.intent.observables import Observables, RandomFourier, SecondOrder
 from koopdqn.pose import Array
 
@@ -145,3 +152,29 @@ def test_the_rows_of_every_ridge_are_those_of_the_whole_matrix() -> None:
         (0.0, 1e-3, 1.0), koopman_rows(before, after[:, :2], np.ones(40), (0.0, 1e-3, 1.0)), strict=True
     ):
         np.testing.assert_allclose(rows, koopman_matrix(before, after, ridge)[:2], atol=1e-10)
+
+
+@pytest.mark.parametrize("ridge", [0.0, 1e-6])
+@pytest.mark.parametrize("length", [1, 7, 1000])
+def test_pairs_in_blocks_give_the_matrix_of_all_at_once(trajectories: list[Array], ridge: float, length: int) -> None:
+    before, after = shelf_data(trajectories)
+    weight = np.linspace(0.5, 2.0, len(before))
+    rows = [slice(first, first + length) for first in range(0, len(before), length)]
+    found = koopman_of_blocks(((before[part], after[part], weight[part]) for part in rows), ridge)
+    whole = koopman_rows(before, after, weight, (ridge,))[0]
+    np.testing.assert_allclose(found, whole, atol=1e-8 * np.abs(whole).max())
+
+
+def test_a_matrix_of_no_blocks_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one pair, found none"):
+        koopman_of_blocks(())
+
+
+def test_more_pairs_than_are_lifted_at_once_give_the_same_model_as_few() -> None:
+    rng = np.random.default_rng(0)
+    few = rng.normal(size=(300, 3))
+    after = few * [0.9, 0.8, 0.7] + 0.05 * few[:, [1, 2, 0]] ** 2 + rng.normal(scale=0.01, size=few.shape)
+    # The same pairs again and again have the same least squares.
+    many = KoopmanModel.fit(SecondOrder(), np.tile(few, (400, 1)), np.tile(after, (400, 1)), np.zeros(3), 1.0)
+    one = KoopmanModel.fit(SecondOrder(), few, after, np.zeros(3), 1.0)
+    np.testing.assert_allclose(many.matrix, one.matrix, atol=1e-10)

@@ -199,6 +199,33 @@ def test_adam_is_torchs_own() -> None:
     assert not torch.equal(ours, torch.ones(3, 2))
 
 
+@pytest.mark.parametrize("hidden", [(16,), (24, 7, 33)])
+def test_an_update_is_that_of_autograd_and_torchs_adam_bit_for_bit(agent: AgentSettings, hidden: tuple[int]) -> None:
+    network = agent.network.model_copy(update={"hidden": hidden, "fourier_features": 12})
+    made = learner(agent.model_copy(update={"network": network, "target_every": 1000}))
+    other = QNetwork(5, network, np.random.default_rng(0))
+    load_arrays(other, made.policy_arrays())
+    optimizer = torch.optim.Adam(other.parameters(), lr=agent.learning_rate, foreach=False)
+    for number in range(3):
+        # Every state twice in a row, once with the same action, as it comes from the replay buffer.
+        drawn = batch(number, count=10)
+        twice = {name: np.repeat(getattr(drawn, name), 2, axis=0) for name in FIELDS}
+        some = twice | {"actions": np.where(np.arange(20) % 4 == 1, 3, twice["actions"])}
+        tried = Transitions(**some)
+        targets = torch.from_numpy(tried.rewards) + agent.gamma * made.target(torch.from_numpy(tried.following)).gather(
+            1, other(torch.from_numpy(tried.following)).argmax(dim=1, keepdim=True)
+        ).squeeze(1)
+        values = other(torch.from_numpy(drawn.observations))
+        chosen = values[np.repeat(np.arange(10), 2), tried.actions]
+        loss = torch.nn.functional.mse_loss(chosen, targets.detach())
+        optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        assert made.update(tried) == float(loss.detach())
+        for ours, theirs in zip(made.online.parameters(), other.parameters(), strict=True):
+            assert torch.equal(ours, theirs)
+
+
 def test_a_restored_learner_goes_on_bit_for_bit(agent: AgentSettings) -> None:
     settings = agent.model_copy(update={"target_every": 3})
     old = learner(settings)

@@ -30,6 +30,31 @@ def same_rotation(a: Array, b: Array, tolerance: float = 1e-12) -> bool:
     return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < tolerance)
 
 
+def test_a_rotation_is_the_same_to_the_last_bit_alone_and_among_many() -> None:
+    """Runs with the same seed must not depend on how many poses are computed together."""
+    rng = np.random.default_rng(0)
+    a, b = (pose.make(rng.normal(size=(500, 3)), rng.normal(size=(500, 4))) for _ in range(2))
+    together = (
+        pose.compose(a, b),
+        pose.rotation_distance(a, b),
+        pose.turned_toward(a[:, 3:], b[:, 3:], np.full(500, 0.1)),
+    )
+    for row in range(0, 500, 7):
+        alone = pose.compose(a[row], b[row]), pose.rotation_distance(a[row], b[row])
+        alone = *alone, pose.turned_toward(a[row, 3:], b[row, 3:], 0.1)
+        for one, many in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(one, many[row])
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (64, 10)])
+def test_lengths_and_cross_products_are_numpys_own(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(*shape, 3)), rng.normal(size=(*shape, 3))
+    np.testing.assert_array_equal(pose.norm(a), np.linalg.norm(a, axis=-1))
+    np.testing.assert_array_equal(pose.norm(a, keepdims=True), np.linalg.norm(a, axis=-1, keepdims=True))
+    np.testing.assert_array_equal(pose.cross(a, b), np.cross(a, b))
+
+
 @given(quaternions, quaternions, quaternions)
 def test_rotations_form_a_group(a: Array, b: Array, c: Array) -> None:
     one = np.array([1.0, 0.0, 0.0, 0.0])

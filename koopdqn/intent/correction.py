@@ -68,7 +68,7 @@ class CorrectedIntent(IntentModel):
         answered = weights @ _difference(self.following, self.poses)
         own = _difference(predicted[rows], poses[rows])
         # A base model that leaps where it knows nothing must not outweigh an answer of one step.
-        length = np.linalg.norm(answered[:, :3], axis=1) / np.maximum(np.linalg.norm(own[:, :3], axis=1), _SAME_M)
+        length = pose.norm(answered[:, :3]) / np.maximum(pose.norm(own[:, :3]), _SAME_M)
         own[:, :3] *= np.where(share < 1.0, np.minimum(length, 1.0)[:, None], 1.0)
         motion = share * answered + (1.0 - share) * own
         turned = pose.multiply(poses[rows, pose.QUATERNION], pose.from_rotation_vector(motion[:, 3:]))
@@ -93,13 +93,13 @@ class CorrectedIntent(IntentModel):
     def _blend(self, poses: Array) -> tuple[Array, Array]:
         """Return how much answers count at poses (N, 7), (N,), and how much each of them does, (N, M), in sum 1."""
         position = poses[:, pose.POSITION]
-        moved = np.linalg.norm(position[:, None] - self.poses[:, pose.POSITION], axis=2)
+        moved = pose.norm(position[:, None] - self.poses[:, pose.POSITION])
         cosine = np.clip(np.abs(poses[:, pose.QUATERNION] @ self.poses[:, pose.QUATERNION].T), 0.0, 1.0)
         turned = 2.0 * np.arccos(cosine) / _SUPPORT_RAD
         near = _fading(2.0 * moved / self.reaches - 1.0) * _fading(turned)
         weights = near / np.maximum(moved, _SAME_M) ** 2
         total = weights.sum(axis=1, keepdims=True)
-        left = np.linalg.norm(position - self.goal[pose.POSITION], axis=1)
+        left = pose.norm(position - self.goal[pose.POSITION])
         return near.max(axis=1) * (1.0 - _fading(left / _GOAL_M)), weights / np.where(total > 0.0, total, 1.0)
 
 

@@ -1,11 +1,17 @@
 """Extended dynamic mode decomposition: the Koopman matrix from pairs of states (Eqs. 5–12)."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from koopdqn.intent.observables import Observables
 from koopdqn.pose import Array
+
+# Pairs from which on they are lifted and summed block by block; a block of few features fits the processor's cache.
+_AT_ONCE: Final = 100_000
+_BLOCK: Final = 4096
 
 
 def snapshot_pairs(trajectories: list[Array]) -> tuple[Array, Array]:
@@ -46,6 +52,38 @@ def koopman_rows(before: Array, after: Array, weight: Array, ridges: tuple[float
         gram, change = moments
         found.append(np.eye(rows, size) + np.linalg.solve(gram + ridge * np.eye(size), change).T)
     return found
+
+
+def koopman_of_blocks(blocks: Iterable[tuple[Array, Array, Array]], ridge: float = 0.0) -> Array:
+    """Return K (D, D) of lifted pairs that come in blocks (M, D) → (M, D), each pair with its weight (M,).
+
+    It is that of :func:`koopman_matrix` but for rounding, in memory for one block. With ``ridge`` 0 what is kept of the
+    blocks seen is the triangular factor of all pairs, block after block (the tall and skinny QR of Demmel et al. 2012),
+    which has the condition number of the data and not its square; otherwise it is the sums A and G.
+
+    Raises:
+        ValueError: there are no pairs.
+    """
+    count, total = 0, 0.0
+    factor: Array | None = None
+    sums: tuple[Array, Array] | None = None
+    for before, after, weight in blocks:
+        count, total = count + len(before), total + float(weight.sum())
+        if ridge == 0.0:
+            pairs = np.sqrt(weight)[:, None] * np.concatenate([before, after], axis=1)
+            factor = np.asarray(np.linalg.qr(pairs if factor is None else np.concatenate([factor, pairs]), mode="r"))
+        else:
+            weighted = before * weight[:, None]
+            found = weighted.T @ before, weighted.T @ (after - before)
+            sums = found if sums is None else (sums[0] + found[0], sums[1] + found[1])
+    if factor is not None:
+        size = factor.shape[1] // 2
+        cut = np.finfo(float).eps * max(count, size)
+        return np.asarray(np.linalg.lstsq(factor[:, :size], factor[:, size:], rcond=cut)[0].T)
+    if sums is None:
+        raise ValueError("K must be fitted to at least one pair, found none")
+    gram, change = sums[0] / total, sums[1] / total
+    return np.asarray(np.eye(len(gram)) + np.linalg.solve(gram + ridge * np.eye(len(gram)), change).T)
 
 
 def within_radius(matrix: Array, radius: float) -> Array:
@@ -91,10 +129,17 @@ class KoopmanModel:
         weight: Array | None = None,
     ) -> "KoopmanModel":
         """Return the model fitted to states (M, d) and their successors (M, d), which count ``weight`` (M,)."""
-        placed = observables.placed((before - center) / scale)
-        lifted, then = (placed.lift((states - center) / scale) for states in (before, after))
+        placed = observables.placed((before[:: 1 + len(before) // _AT_ONCE] - center) / scale)
         weight = np.ones(len(before)) if weight is None else weight
-        return cls(placed, center, scale, koopman_rows(lifted, then, weight, (ridge,))[0])
+
+        def lifted(rows: slice) -> tuple[Array, Array, Array]:
+            now, then = (placed.lift((states[rows] - center) / scale) for states in (before, after))
+            return now, then, weight[rows]
+
+        if len(before) < _AT_ONCE:
+            return cls(placed, center, scale, koopman_rows(*lifted(slice(None)), (ridge,))[0])
+        blocks = (lifted(slice(first, first + _BLOCK)) for first in range(0, len(before), _BLOCK))
+        return cls(placed, center, scale, koopman_of_blocks(blocks, ridge))
 
     @classmethod
     def one_step(

@@ -111,7 +111,7 @@ class IntentModel(ABC):
         """Return predictions (N, 7) made from poses (N, 7) as motions of one step [m], at most up to the goal."""
         position = poses[:, pose.POSITION]
         motion = predicted[:, pose.POSITION] - position
-        length = np.linalg.norm(motion, axis=1, keepdims=True)
+        length = pose.norm(motion, keepdims=True)
         distance = np.minimum(step, pose.position_distance(poses, self.goal))[:, None]
         direction = motion / np.where(length > 0, length, 1.0)
         return pose.make(position + distance * direction, predicted[:, pose.QUATERNION])

@@ -151,9 +151,9 @@ class IntentReward:
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
         shown, answered, doubt = self._vouched(here, placed_reached, steps)
         certain = certain_signs(margin, doubt)
-        unchanged = (pose.position_distance(reached, poses[:, None]) < _NO_MOTION) & (
-            pose.rotation_distance(reached, poses[:, None]) < _NO_MOTION
-        )
+        unchanged = pose.position_distance(reached, poses[:, None]) < _NO_MOTION
+        rows, actions = np.nonzero(unchanged)
+        unchanged[rows, actions] = pose.rotation_distance(reached[rows, actions], poses[rows]) < _NO_MOTION
         wrong = unchanged | self._illegal
         reward = self.settings.size * np.where(wrong, -1.0, reward)
         at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(count, COUNT)

@@ -7,16 +7,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
-from torch.optim.adam import adam
 
-from koopdqn.rl.network import QNetwork
+from koopdqn.rl.network import Buffers, QNetwork
 from koopdqn.rl.replay_buffer import Transitions
 from koopdqn.rl.settings import AgentSettings
-from koopdqn.tasks.actions import COUNT
 
 _BETA1: Final = 0.9
 _BETA2: Final = 0.999
 _EPSILON: Final = 1e-8
+# What autograd calls to go back through the mean squared error and ReLU.
+_mse_slope = torch.ops.aten.mse_loss_backward
+_relu_slope = torch.ops.aten.threshold_backward.grad_input
+_MEAN: Final = 1
+_ONE: Final = torch.ones(())
 
 
 class Adam:
@@ -28,26 +31,22 @@ class Adam:
         self._learning_rate = learning_rate
         self._means = [torch.zeros_like(values) for values in self._parameters]
         self._squares = [torch.zeros_like(values) for values in self._parameters]
+        self._roots = [torch.empty_like(values) for values in self._parameters]
         self._steps = [torch.zeros(()) for _ in self._parameters]
 
     def step(self, gradients: Sequence[Tensor]) -> None:
         """Change the parameters by one step against their gradients."""
-        adam(
-            self._parameters,
-            list(gradients),
-            self._means,
-            self._squares,
-            [],
-            self._steps,
-            foreach=False,
-            amsgrad=False,
-            beta1=_BETA1,
-            beta2=_BETA2,
-            lr=self._learning_rate,
-            weight_decay=0.0,
-            eps=_EPSILON,
-            maximize=False,
-        )
+        steps = float(self._steps[0]) + 1.0
+        size = self._learning_rate / (1 - _BETA1**steps)
+        root = (1 - _BETA2**steps) ** 0.5
+        columns = self._parameters, gradients, self._means, self._squares, self._roots
+        for parameter, gradient, mean, square, scale in zip(*columns, strict=True):
+            mean.lerp_(gradient, 1 - _BETA1)
+            square.mul_(_BETA2).addcmul_(gradient, gradient, value=1 - _BETA2)
+            torch.sqrt(square, out=scale).div_(root).add_(_EPSILON)
+            parameter.addcdiv_(mean, scale, value=-size)
+        for count in self._steps:
+            count += 1
 
     def state(self) -> dict[str, np.ndarray]:
         """Return a copy of the moments and the step count of every parameter, by its index."""
@@ -112,9 +111,11 @@ class Learner:
         self.target = QNetwork(inputs, settings.network, rng)
         self.target.load_state_dict(self.online.state_dict())
         self.updates = 0
-        self._parameters: list[Tensor] = list(self.online.parameters())
-        self._target_parameters: list[Tensor] = list(self.target.parameters())
+        self._parameters: list[Tensor] = [values.detach() for values in self.online.parameters()]
+        self._target_parameters: list[Tensor] = [values.detach() for values in self.target.parameters()]
         self._adam = Adam(self._parameters, settings.learning_rate)
+        self._features, self._online, self._target, self._backward = (Buffers() for _ in range(4))
+        self._slopes = [torch.empty_like(weight) for weight, _ in self.online.weights]
 
     def normalise_to(self, observations: np.ndarray) -> None:
         """Take mean and spread of the inputs of both networks from observations (N, inputs)."""
@@ -127,30 +128,54 @@ class Learner:
         Transitions of one state that follow one another in the batch share its pass through the network.
         """
         stop = batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone
+        with torch.no_grad():
+            targets = self._targets(batch, stop)
+            states, state_of = _distinct(batch.observations)
+            features = self.online.features(torch.from_numpy(states), self._features)
+            layers = self.online.activations(features, self._online)
+            index = torch.from_numpy(state_of), torch.from_numpy(batch.actions)
+            chosen = layers[-1][index]
+            loss = nn.functional.mse_loss(chosen, targets)
+            slope = torch.zeros_like(layers[-1])
+            slope.index_put_(index, _mse_slope(_ONE, chosen, targets, _MEAN), accumulate=True)
+            self._adam.step(self._gradients([features, *layers[:-1]], slope))
+            self.updates += 1
+            if self.updates % self.settings.target_every == 0:
+                torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
+        return float(loss)
+
+    def _targets(self, batch: Transitions, stop: NDArray[np.bool_]) -> Tensor:
+        """Return the targets (N,) of a batch of which ``stop`` (N,) says after which nothing follows."""
         # Most actions from a state are wrong and followed by nothing.
         follows = np.flatnonzero(~stop)
-        online, target = torch.zeros(2, len(stop), COUNT)
-        with torch.no_grad():
-            # Features are not learned: both networks have the same.
-            features = self.online.features(torch.from_numpy(batch.following[follows]))
-            online[follows], target[follows] = self.online.of_features(features), self.target.of_features(features)
-            targets = q_targets(
-                torch.from_numpy(batch.rewards),
-                torch.from_numpy(stop),
-                online,
-                target,
-                self.settings.gamma,
-                self.settings.double,
-            )
-        states, state_of = _distinct(batch.observations)
-        values = self.online(torch.from_numpy(states))
-        loss = nn.functional.mse_loss(values[state_of, batch.actions], targets)
-        self._adam.step(torch.autograd.grad(loss, self._parameters))
-        self.updates += 1
-        if self.updates % self.settings.target_every == 0:
-            with torch.no_grad():
-                torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
-        return float(loss.detach())
+        # Features are not learned: both networks have the same.
+        features = self.online.features(torch.from_numpy(batch.following[follows]), self._features)
+        online, target = (
+            network.activations(features, buffers)[-1]
+            for network, buffers in ((self.online, self._online), (self.target, self._target))
+        )
+        targets = torch.from_numpy(batch.rewards.copy())
+        rows = torch.from_numpy(follows)
+        going_on = torch.zeros(len(follows), dtype=torch.bool)
+        targets[rows] = q_targets(targets[rows], going_on, online, target, self.settings.gamma, self.settings.double)
+        return targets
+
+    def _gradients(self, inputs: list[Tensor], slope: Tensor) -> list[Tensor]:
+        """Return the loss's gradients of the online parameters, in their order: what autograd computes, and no more.
+
+        Args:
+            inputs: what every layer saw (N, units).
+            slope: the loss's gradient of the last layer's values (N, 10).
+        """
+        gradients: list[Tensor] = []
+        for index, (weight, _) in reversed(list(enumerate(self.online.weights))):
+            seen = inputs[index]
+            gradients[:0] = [torch.mm(slope.t(), seen, out=self._slopes[index]), slope.sum(dim=0)]
+            if index:
+                into = self._backward.of(f"layer {index}", *seen.shape)
+                slope = torch.mm(slope, weight, out=into)
+                _relu_slope(slope, seen, 0, grad_input=slope)
+        return gradients
 
     @property
     def policy_network(self) -> QNetwork:

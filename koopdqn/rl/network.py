@@ -19,6 +19,22 @@ _POSITION, _ROTATION = 3, 3
 _HELD = 5
 # Observations that hardly vary (a held orientation's distance) must not be blown up.
 _LEAST_SPREAD = 0.02
+_ROOT_TWO = float(np.sqrt(2.0))
+
+
+class Buffers:
+    """Memory that is used again from one update to the next: new memory costs more than what is computed in it."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._held: dict[tuple[str, int], Tensor] = {}
+
+    def of(self, name: str, count: int, width: int) -> Tensor:
+        """Return an array (count, width) of a name, with anything in it; the same memory at every call."""
+        held = self._held.get((name, width))
+        if held is None or len(held) < count:
+            held = self._held[name, width] = torch.empty(count + count // 4, width)
+        return held[:count]
 
 
 class QNetwork(nn.Module):
@@ -50,6 +66,9 @@ class QNetwork(nn.Module):
         for before, after in pairwise(widths):
             layers += [linear(before, after, rng), nn.ReLU()]
         self.layers = nn.Sequential(*layers, linear(widths[-1], COUNT, rng))
+        self._memory = Buffers()
+        # Held apart, as to look them up in the modules takes as long as a small layer.
+        self.weights = [(layer.weight, layer.bias) for layer in self.layers if isinstance(layer, nn.Linear)]
 
     def normalise_to(self, observations: NDArray[np.float32]) -> None:
         """Take mean and spread of the inputs from observations (N, inputs)."""
@@ -62,20 +81,46 @@ class QNetwork(nn.Module):
 
     def of_features(self, features: Tensor) -> Tensor:
         """Return the values Q (N, 10) of what :meth:`features` makes of observations (N, inputs + features)."""
-        return cast(Tensor, self.layers(features))
+        return self.activations(features)[-1]
 
-    def features(self, observations: Tensor) -> Tensor:
-        """Return what the first layer sees (N, inputs + features) of observations (N, inputs)."""
-        normalised = (observations - self.mean) / self.spread
-        if not self.phases.numel():
-            return normalised
-        waves = torch.cos(observations[:, : self._waved] @ self.frequencies + self.phases)
-        return torch.cat([normalised, np.sqrt(2.0) * waves], dim=1)
+    def activations(self, features: Tensor, buffers: Buffers | None = None) -> list[Tensor]:
+        """Return what each layer makes (N, units) of what the first one sees (N, inputs + features), Q the last.
+
+        With buffers the arrays are theirs, good until the next pass through them, and there are no gradients.
+        """
+        values, made = features, []
+        for index, (weight, bias) in enumerate(self.weights):
+            if buffers is None:
+                values = torch.addmm(bias, values, weight.t())
+            else:
+                into = buffers.of(f"layer {index}", len(values), len(bias))
+                values = torch.addmm(bias, values, weight.t(), out=into)
+            if index < len(self.weights) - 1:
+                values = values.relu_()
+            made.append(values)
+        return made
+
+    def features(self, observations: Tensor, buffers: Buffers | None = None) -> Tensor:
+        """Return what the first layer sees (N, inputs + features) of observations (N, inputs).
+
+        With buffers the array is theirs, good until they are asked for the next features.
+        """
+        buffers = Buffers() if buffers is None else buffers
+        count, inputs = observations.shape
+        seen = buffers.of("seen", count, inputs + self.phases.numel())
+        normalised = seen[:, :inputs]
+        torch.sub(observations, self.mean, out=normalised).div_(self.spread)
+        if self.phases.numel():
+            waves = buffers.of("waves", count, self.phases.numel())
+            torch.mm(observations[:, : self._waved], self.frequencies, out=waves).add_(self.phases).cos_()
+            torch.mul(waves, _ROOT_TWO, out=seen[:, inputs:])
+        return seen
 
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the values Q (N, 10) of observations (N, inputs), without gradients."""
         with torch.no_grad():
-            return cast(NDArray[np.float32], self(torch.from_numpy(observations)).numpy())
+            features = self.features(torch.from_numpy(observations), self._memory)
+            return cast(NDArray[np.float32], self.activations(features, self._memory)[-1].numpy().copy())
 
 
 def _drawn(values: NDArray[np.float64]) -> Tensor:

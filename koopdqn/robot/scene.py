@@ -127,6 +127,11 @@ class Scene:
         self.velocity_index = np.array([model.joint(prefix + name).dofadr[0] for name in arm.joint_names])
         driven = model.actuator_trnid[:, 0].tolist()
         self.actuator_index = np.array([driven.index(model.joint(prefix + name).id) for name in arm.joint_names])
+        self._qpos = self.data.qpos
+        first, last = int(self.joint_index[0]), int(self.joint_index[-1])
+        in_order = self.joint_index.tolist() == list(range(first, last + 1))
+        # A slice is set in a third of the time that an index takes.
+        self._joints: slice | np.ndarray = slice(first, last + 1) if in_order else self.joint_index
         self._site = model.site(prefix + arm.flange_site).id
         names = [model.geom(i).name for i in range(model.ngeom)]
         self._payload = [i for i, name in enumerate(names) if "payload_" in name]
@@ -135,7 +140,7 @@ class Scene:
 
     def place(self, joints: Array) -> None:
         """Set the arm to joint angles (6,) [rad] and update where everything is."""
-        self.data.qpos[self.joint_index] = joints
+        self._qpos[self._joints] = joints
         mujoco.mj_kinematics(self.model, self.data)
 
     def flange_pose(self, joints: Array) -> Array:

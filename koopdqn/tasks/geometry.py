@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from koopdqn import pose
 from koopdqn.pose import Array
 
 
@@ -20,4 +21,4 @@ def segment_distance(first: Array, second: Array, start: Array, end: Array) -> A
     t = np.clip((b * s + e) / c, 0.0, 1.0)
     s = np.clip((b * t - d) / a, 0.0, 1.0)
     gap = w + s[..., None] * u - t[..., None] * v
-    return np.asarray(np.linalg.norm(gap, axis=-1))
+    return pose.norm(gap)

@@ -1,5 +1,6 @@
 """Handing a knife to a person: its edge is turned down early, before the blade comes near (§5.2 of the paper)."""
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -96,20 +97,34 @@ class KnifeTask(Task):
 
     def blade_distance(self, poses: Array) -> Array:
         """Return the distance (N,) [m] from the nearest point of the blade to the receiver at poses (N, 7)."""
-        heights = np.linspace(-0.5, 0.5, _BLADE_LINES)[:, None] * self.blade_height_m * np.array(self.edge)
         first, second = (
-            pose.rotate(poses[:, None, pose.QUATERNION], heights + np.array([0.0, 0.0, end]))
-            + poses[:, None, pose.POSITION]
-            for end in self._blade_ends
+            pose.rotate(poses[:, None, pose.QUATERNION], line) + poses[:, None, pose.POSITION]
+            for line in self._blade_lines
         )
+        starts, ends, radii = self._limbs
+        return np.asarray(
+            (segment_distance(first[:, :, None], second[:, :, None], starts, ends) - radii).min(axis=(1, 2))
+        )
+
+    @cached_property
+    def _blade_lines(self) -> tuple[Array, Array]:
+        """Both ends (_BLADE_LINES, 3) [m] of lines along the blade, in the flange frame."""
+        heights = np.linspace(-0.5, 0.5, _BLADE_LINES)[:, None] * self.blade_height_m * np.array(self.edge)
+        first, second = (heights + np.array([0.0, 0.0, end]) for end in self._blade_ends)
+        return first, second
+
+    @cached_property
+    def _limbs(self) -> tuple[Array, Array, Array]:
+        """Starts (L, 3), ends (L, 3) and radii (L,) of the receiver's limbs [m]."""
         starts, ends = (np.array([getattr(limb, name) for limb in self.receiver]) for name in ("start", "end"))
-        gaps = segment_distance(first[:, :, None], second[:, :, None], starts, ends)
-        return np.asarray((gaps - [limb.radius_m for limb in self.receiver]).min(axis=(1, 2)))
+        return starts, ends, np.array([limb.radius_m for limb in self.receiver])
 
     def rule_broken(self, poses: Array) -> np.ndarray:
         """Return whether the blade is near the receiver and not safe at each pose (N, 7), as booleans (N,)."""
-        unsafe = self.blade_angle(poses) > self.safe_angle_rad
-        return np.asarray(unsafe & (self.blade_distance(poses) < self.rule_distance_m))
+        broken = np.asarray(self.blade_angle(poses) > self.safe_angle_rad)
+        if broken.any():
+            broken[broken] = self.blade_distance(poses[broken]) < self.rule_distance_m
+        return broken
 
     def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
         """Return the blade's final angle, when it became safe, its least distance to the receiver and its speed."""

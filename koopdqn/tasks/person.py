@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -50,13 +50,18 @@ class ShownPath:
         itself that choice makes it end.
         """
         points = self.places.points
-        squared = (points**2).sum(axis=1) - 2.0 * positions @ points.T + (positions**2).sum(axis=1)[:, None]
+        squared = self._squares - 2.0 * positions @ points.T + (positions**2).sum(axis=1)[:, None]
         distance = np.sqrt(np.maximum(squared, 0.0))
-        beside = np.pad(distance, ((0, 0), (1, 1)), constant_values=np.inf)
-        candidate = (distance <= beside[:, :-2]) & (distance <= beside[:, 2:])
-        candidate &= distance <= distance.min(axis=1, keepdims=True) + margin
+        candidate = distance <= distance.min(axis=1, keepdims=True) + margin
+        # No farther than the places beside it.
+        candidate[:, 1:] &= distance[:, 1:] <= distance[:, :-1]
+        candidate[:, :-1] &= distance[:, :-1] <= distance[:, 1:]
         latest = len(points) - 1 - candidate[:, ::-1].argmax(axis=1)
         return np.asarray(latest * self.places.spacing)
+
+    @cached_property
+    def _squares(self) -> Array:
+        return np.asarray((self.places.points**2).sum(axis=1))
 
     def turned_at(self, arc: Array) -> Array:
         """Return the quaternions (N, 4) at arc lengths (N,) [m], clamped to the path's ends."""
@@ -100,10 +105,10 @@ class Law:
         position = poses[:, pose.POSITION]
         arc = self.path.nearest(position, _AS_NEAR * self.step)
         way = self.aim(self.path, position, arc, self.step) - position
-        direction = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+        direction = way / np.maximum(pose.norm(way), 1e-12)[:, None]
         moved = position + np.minimum(self.step, pose.position_distance(poses, self.goal))[:, None] * direction
         if not self.turn:
-            return pose.make(moved, np.tile(self.goal[pose.QUATERNION], (len(poses), 1)))
+            return pose.make(moved, self.goal[pose.QUATERNION])
         wished = pose.make(moved, self.path.turned_at(arc + self.step))
         return one_step(poses, wished, self.goal, self.step, self.turn)
 
@@ -184,7 +189,7 @@ class Square(Person):
 
 def _nearest_first(path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
     nearest = path.places.at(arc)
-    off = np.linalg.norm(positions - nearest, axis=1, keepdims=True) > step
+    off = pose.norm(positions - nearest, keepdims=True) > step
     return np.where(off, nearest, path.places.at(arc + step))
 
 

@@ -74,11 +74,13 @@ def roll_out(
         actions = controller(poses, starts[active])
         reached = reached_poses(poses, task)[np.arange(len(active)), actions]
         _advance([runs[i] for i in active], reached, task, reachability)
-        for i in active if cut_circles else ():
-            place = np.round(runs[i].poses[-1] / _SAME_PLACE).astype(np.int64).tobytes()
-            if place in seen[i] and not runs[i].outcome:
-                runs[i].outcome = STEP_LIMIT
-            seen[i].add(place)
+        if cut_circles:
+            places = np.round(np.array([runs[i].poses[-1] for i in active]) / _SAME_PLACE).astype(np.int64)
+            for i, row in zip(active, places, strict=True):
+                place = row.tobytes()
+                if place in seen[i] and not runs[i].outcome:
+                    runs[i].outcome = STEP_LIMIT
+                seen[i].add(place)
     return [run.finished() for run in runs]
 
 
@@ -107,7 +109,9 @@ def _advance(runs: list[_Run], reached: Array, task: Task, reachability: Reachab
     """Take runs one step on, each to its pose of those reached (N, 7), and end those that this ends."""
     motions = reachability.move_batch(reached, np.array([run.joints[-1] for run in runs]))
     before = np.array([run.poses[-1] for run in runs])
-    stuck = (pose.position_distance(reached, before) == 0) & (pose.rotation_distance(reached, before) == 0)
+    stuck = pose.position_distance(reached, before) == 0
+    if stuck.any():
+        stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) == 0
     ends = np.select([task.rule_broken(reached), task.reached(reached), stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
     for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):
         if motion.joints is None:

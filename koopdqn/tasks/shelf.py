@@ -49,7 +49,7 @@ class ShelfTask(Task):
         """Return whether the bottle tilts too far at each pose (N, 7), as booleans (N,)."""
         upright = pose.rotate(self.goal[pose.QUATERNION], [1.0, 0.0, 0.0])
         axis = pose.rotate(poses[:, pose.QUATERNION], np.array([1.0, 0.0, 0.0]))
-        tilt = np.arctan2(np.linalg.norm(np.cross(axis, upright), axis=1), axis @ upright)
+        tilt = np.arctan2(pose.norm(pose.cross(axis, upright)), axis @ upright)
         return np.asarray(tilt > self.max_tilt_rad)
 
     def furnish(self, scene: "SceneBuilder") -> None:

@@ -95,8 +95,8 @@ class StartFrame:
 
     def _moved(self, poses: Array, starts: Array, weighed: Array, sign: float) -> Array:
         """Return poses (..., 7) moved by what starts (..., 7) are off, as far as it counts at ``weighed`` (..., 7)."""
-        left = np.linalg.norm(weighed[..., pose.POSITION] - self.goal, axis=-1, keepdims=True)
-        whole = np.linalg.norm(starts[..., pose.POSITION] - self.goal, axis=-1, keepdims=True)
+        left = pose.norm(weighed[..., pose.POSITION] - self.goal, keepdims=True)
+        whole = pose.norm(starts[..., pose.POSITION] - self.goal, keepdims=True)
         offset = starts[..., pose.POSITION] - self.start
         position = poses[..., pose.POSITION] + sign * np.minimum(left / np.maximum(whole, 1e-9), 1.0) * offset
         return np.concatenate([position, poses[..., pose.QUATERNION]], axis=-1)

@@ -32,23 +32,24 @@ def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float)
     """
     quaternion, toward = poses[:, pose.QUATERNION], goal[pose.QUATERNION]
     motion = wished[:, pose.POSITION] - poses[:, pose.POSITION]
-    length = np.linalg.norm(motion, axis=1)
-    to_goal = _turn_between(quaternion, np.broadcast_to(toward, quaternion.shape))
-    left = np.linalg.norm(to_goal, axis=1)
+    length = pose.norm(motion)
+    to_goal = _turn_between(quaternion, toward)
+    left = pose.norm(to_goal)
     angle = (_turn_between(quaternion, wished[:, pose.QUATERNION]) * to_goal).sum(axis=1) / np.maximum(left, 1e-12)
-    angle = np.clip(angle, 0.0, left)
+    angle = angle.clip(0.0, left)
     way = goal[pose.POSITION] - poses[:, pose.POSITION]
     direction = motion / np.maximum(length, 1e-12)[:, None]
-    toward_goal = (direction * way).sum(axis=1) >= _TOWARD * np.linalg.norm(way, axis=1)
+    distance = pose.norm(way)
+    toward_goal = (direction * way).sum(axis=1) >= _TOWARD * distance
     whole = (length > 0) & (toward_goal | (angle <= _LITTLE * turn))
     size = np.where(whole, length / step, np.hypot(length / step, angle / turn))
     size = np.maximum(size, 1e-12)
     angle = np.where(whole, np.minimum(angle, _ON_THE_WAY * turn) * size, angle)
-    moved = np.minimum(length / size, np.linalg.norm(way, axis=1))
+    moved = np.minimum(length / size, distance)
     position = poses[:, pose.POSITION] + moved[:, None] * direction
     return pose.make(position, pose.turned_toward(quaternion, toward, np.minimum(angle / size, left)))
 
 
 def _turn_between(quaternions: Array, others: Array) -> Array:
-    """Return the rotation vectors (N, 3) [rad] from quaternions (N, 4) to others (N, 4), the short way."""
-    return pose.to_rotation_vector(pose.canonical(pose.multiply(pose.conjugate(quaternions), others)))
+    """Return the rotation vectors (N, 3) [rad] from quaternions (N, 4) to others (N, 4) or one, the short way."""
+    return pose.to_rotation_vector(pose.multiply(pose.conjugate(quaternions), others))

@@ -204,8 +204,10 @@ class Task(TaskChoice):
 
     def reached(self, poses: Array) -> np.ndarray:
         """Return whether each pose (N, 7) counts as the goal, as booleans (N,)."""
-        near = pose.position_distance(poses, self.goal) <= self.goal_tolerance_m
-        return near & (pose.rotation_distance(poses, self.goal) <= self.goal_rotation_tolerance_rad)
+        near = np.asarray(pose.position_distance(poses, self.goal) <= self.goal_tolerance_m)
+        if near.any():
+            near[near] = pose.rotation_distance(poses[near], self.goal) <= self.goal_rotation_tolerance_rad
+        return near
 
 
 def angles_in(frame: Array, quaternions: Array) -> Array:

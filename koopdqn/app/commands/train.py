@@ -31,8 +31,6 @@ REPORT = "train.json"
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Learn from given or new demonstrations, or go on with the run that the folder holds."""
-    from koopdqn.plots.train import plot_training
-
     began = monotonic()
     config.oracle.check()
     check_memory(config.agent, size(config.task))
@@ -66,6 +64,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     write_policy(folder / POLICY, trainer.best, config.agent.network, intent.model.start_frame, shaped_by)
     report = train_report(config, trainer, seconds, made_from)
     write_json(folder / REPORT, report)
+    # Here and not before: matplotlib takes a while to load, and learning need not wait for it.
+    from koopdqn.plots.train import plot_training
+
     plot_training(folder / "train.png", trainer.history, report)
     return CommandResult(
         report,
