@@ -179,21 +179,31 @@ class URArm(Settings):
         """
         target, near = pose_scalars(pose), _joint_scalars(seed)
         misses: list[float] = []
-        found = self._within_limits(target, near, misses)
-        best = min(found, key=lambda joints: _effort(joints, near), default=None)
-        answer = np.array(near if best is None else best)
+        best: list[float] | None = None
+        best_step = best_norm = math.inf
+        lower, upper = self.joint_lower, self.joint_upper
+        for branch in self._branches(target, near, misses):
+            step = norm = 0.0
+            joints: list[float] = []
+            for angle, start, low, high in zip(branch, near, lower, upper, strict=True):
+                nearest = unwrapped(angle, start, low, high)
+                if nearest is None:
+                    break
+                joints.append(nearest)
+                difference = abs(nearest - start)
+                if difference > step:
+                    if difference > best_step:
+                        break
+                    step = difference
+                norm += difference * difference
+            else:
+                if step < best_step or norm < best_norm:
+                    best, best_step, best_norm = joints, step, norm
+        answer = np.array(best or near)
         answer.setflags(write=False)
         position, rotation = _residuals(self._flange(best or near, math.cos, math.sin), target)
         reason = self._why_not(target, near, misses) if best is None else ""
         return InverseResult(answer, position, rotation, best is not None, reason)
-
-    def _within_limits(self, target: Scalars, near: Scalars, misses: list[float]) -> Iterator[list[float]]:
-        """Yield the joints of every branch that is within the limits, unwrapped to lie nearest ``near``."""
-        for branch in self._branches(target, near, misses):
-            candidates = map(unwrapped, branch, near, self.joint_lower, self.joint_upper)
-            joints = [angle for angle in candidates if angle is not None]
-            if len(joints) == 6:
-                yield joints
 
     def inverse_batch(self, poses: ArrayLike, seeds: ArrayLike) -> Array:
         """Return for each of N poses (N, 7) in Base the joint angles that :meth:`inverse` finds from its seed (N, 6).
@@ -234,7 +244,12 @@ class URArm(Settings):
             ValueError: the pose or the seed has a wrong shape, is not finite, or the quaternion has no length.
         """
         near = self.home if seed is None else _joint_scalars(seed)
-        found = list(self._within_limits(pose_scalars(pose), near, []))
+        found: list[list[float]] = []
+        for branch in self._branches(pose_scalars(pose), near, []):
+            candidates = map(unwrapped, branch, near, self.joint_lower, self.joint_upper)
+            joints = [angle for angle in candidates if angle is not None]
+            if len(joints) == 6:
+                found.append(joints)
         found.sort(key=lambda joints: max(abs(angle - start) for angle, start in zip(joints, near, strict=True)))
         return np.array(found).reshape(-1, 6)
 
@@ -410,9 +425,3 @@ def _wrist_centre(target: Scalars, d6: float) -> tuple[float, float, float]:
 
 def _joint_scalars(joints: ArrayLike) -> Scalars:
     return _scalars(joints, 6, "joints", " rad")
-
-
-def _effort(joints: Sequence[float], near: Scalars) -> tuple[float, float]:
-    """Return the largest step [rad] of a joint from others, and the sum of the squares of all."""
-    steps = [abs(angle - start) for angle, start in zip(joints, near, strict=True)]
-    return max(steps), sum(step * step for step in steps)
