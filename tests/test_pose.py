@@ -40,8 +40,11 @@ def test_a_rotation_is_the_same_to_the_last_bit_alone_and_among_many() -> None:
         pose.turned_toward(a[:, 3:], b[:, 3:], np.full(500, 0.1)),
     )
     for row in range(0, 500, 7):
-        alone = pose.compose(a[row], b[row]), pose.rotation_distance(a[row], b[row])
-        alone = *alone, pose.turned_toward(a[row, 3:], b[row, 3:], 0.1)
+        alone = (
+            pose.compose(a[row], b[row]),
+            pose.rotation_distance(a[row], b[row]),
+            pose.turned_toward(a[row, 3:], b[row, 3:], 0.1),
+        )
         for one, many in zip(alone, together, strict=True):
             np.testing.assert_array_equal(one, many[row])
 
