@@ -77,6 +77,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
         ("train.extend=inf", "train.extend: must be a finite number, found inf"),
         ("train.stop=never", "train.stop: must be 'learned' or 'limit', found 'never'"),
         ("train.threads=100000", "train.threads: must be less than or equal to 256, found 100000"),
+        ("agent.device=gpu", "agent.device: must be cpu or cuda, found 'gpu'"),
         ("train.step_limit_factor=1e300", "train.step_limit_factor: must be less than or equal to 1000"),
         ("agent.gamma=1", "agent.gamma: must be less than 1, found 1"),
         ("agent.network.hidden=[]", "agent.network.hidden: must have at least 1 item, found ()"),

@@ -3,7 +3,9 @@ import pytest
 import torch
 from parts import Parts
 
+from koopdqn.errors import BadInputError
 from koopdqn.rl.dqn import Adam, Learner, load_arrays, q_targets
+from koopdqn.rl.footprint import check_device
 from koopdqn.rl.network import QNetwork
 from koopdqn.rl.replay_buffer import FIELDS, Transitions
 from koopdqn.rl.settings import AgentSettings
@@ -267,3 +269,21 @@ def test_arrays_of_another_shape_are_refused(agent: AgentSettings) -> None:
     wider = QNetwork(8, agent.network, np.random.default_rng(0))
     with pytest.raises(RuntimeError, match="size mismatch"):
         load_arrays(wider, learner(agent).policy_arrays())
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
+def test_a_gpu_that_is_not_there_is_told_before_any_work(agent: AgentSettings) -> None:
+    assert check_device(agent) == "cpu"
+    with pytest.raises(BadInputError, match=r"agent.device: must be cpu where .* found cuda"):
+        check_device(agent.model_copy(update={"device": "cuda"}))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_makes_the_updates_of_the_cpu(agent: AgentSettings) -> None:
+    one, two = (learner(agent.model_copy(update={"device": name})) for name in ("cpu", "cuda"))
+    for seed in range(5):
+        one.update(batch(seed))
+        two.update(batch(seed))
+    other = two.state()
+    for name, values in one.state().items():
+        np.testing.assert_allclose(values, other[name], atol=1e-4, err_msg=name)

@@ -114,13 +114,16 @@ def train(
         on_check: called after every check on held-out starts.
 
     Raises:
+        BadInputError: ``agent.device`` is not there.
         PauseRequested: who answers wants to go on another time.
     """
     from koopdqn.rl.algorithm1 import Trainer
+    from koopdqn.rl.footprint import check_device
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.policy import Policy
     from koopdqn.rl.questions import Asking
 
+    check_device(config.agent)
     workcell, seed = open_workcell(config), config.inputs.seed
     trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, config.task))
     trainer = Trainer(

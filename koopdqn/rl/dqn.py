@@ -51,7 +51,7 @@ class Adam:
     def state(self) -> dict[str, np.ndarray]:
         """Return a copy of the moments and the step count of every parameter, by its index."""
         return {
-            f"{index}.{name}": values.numpy().copy()
+            f"{index}.{name}": values.cpu().numpy().copy()
             for name, column in self._columns().items()
             for index, values in enumerate(column)
         }
@@ -107,14 +107,14 @@ class Learner:
     def __init__(self, inputs: int, settings: AgentSettings, rng: np.random.Generator) -> None:
         """Make a learner for observations of ``inputs`` values, every weight drawn from ``rng``."""
         self.settings = settings
-        self.online = QNetwork(inputs, settings.network, rng)
-        self.target = QNetwork(inputs, settings.network, rng)
+        self.online, self.target = (QNetwork(inputs, settings.network, rng, settings.device) for _ in range(2))
+        self._device = self.online.device
         self.target.load_state_dict(self.online.state_dict())
         self.updates = 0
         self._parameters: list[Tensor] = [values.detach() for values in self.online.parameters()]
         self._target_parameters: list[Tensor] = [values.detach() for values in self.target.parameters()]
         self._adam = Adam(self._parameters, settings.learning_rate)
-        self._features, self._online, self._target, self._backward = (Buffers() for _ in range(4))
+        self._features, self._online, self._target, self._backward = (Buffers(self._device) for _ in range(4))
         self._slopes = [torch.empty_like(weight) for weight, _ in self.online.weights]
 
     def normalise_to(self, observations: np.ndarray) -> None:
@@ -131,32 +131,35 @@ class Learner:
         with torch.no_grad():
             targets = self._targets(batch, stop)
             states, state_of = _distinct(batch.observations)
-            features = self.online.features(torch.from_numpy(states), self._features)
+            features = self.online.features(self._tensor(states), self._features)
             layers = self.online.activations(features, self._online)
-            index = torch.from_numpy(state_of), torch.from_numpy(batch.actions)
+            index = self._tensor(state_of), self._tensor(batch.actions)
             chosen = layers[-1][index]
             loss = nn.functional.mse_loss(chosen, targets)
             slope = torch.zeros_like(layers[-1])
-            slope.index_put_(index, _mse_slope(_ONE, chosen, targets, _MEAN), accumulate=True)
+            slope.index_put_(index, _mse_slope(_ONE.to(self._device), chosen, targets, _MEAN), accumulate=True)
             self._adam.step(self._gradients([features, *layers[:-1]], slope))
             self.updates += 1
             if self.updates % self.settings.target_every == 0:
                 torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
         return float(loss)
 
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(values).to(self._device)
+
     def _targets(self, batch: Transitions, stop: NDArray[np.bool_]) -> Tensor:
         """Return the targets (N,) of a batch of which ``stop`` (N,) says after which nothing follows."""
         # Most actions from a state are wrong and followed by nothing.
         follows = np.flatnonzero(~stop)
         # Features are not learned: both networks have the same.
-        features = self.online.features(torch.from_numpy(batch.following[follows]), self._features)
+        features = self.online.features(self._tensor(batch.following[follows]), self._features)
         online, target = (
             network.activations(features, buffers)[-1]
             for network, buffers in ((self.online, self._online), (self.target, self._target))
         )
-        targets = torch.from_numpy(batch.rewards.copy())
-        rows = torch.from_numpy(follows)
-        going_on = torch.zeros(len(follows), dtype=torch.bool)
+        targets = self._tensor(batch.rewards.copy())
+        rows = self._tensor(follows)
+        going_on = torch.zeros(len(follows), dtype=torch.bool, device=self._device)
         targets[rows] = q_targets(targets[rows], going_on, online, target, self.settings.gamma, self.settings.double)
         return targets
 
@@ -218,7 +221,7 @@ def load_arrays(network: QNetwork, arrays: dict[str, np.ndarray]) -> None:
 
 
 def _arrays_of(network: QNetwork) -> dict[str, np.ndarray]:
-    return {name: values.detach().numpy().copy() for name, values in network.state_dict().items()}
+    return {name: values.detach().cpu().numpy().copy() for name, values in network.state_dict().items()}
 
 
 def _below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

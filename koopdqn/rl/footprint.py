@@ -1,4 +1,4 @@
-"""Whether an agent's settings fit into this machine's memory, asked before anything is made."""
+"""Whether this machine has what an agent's settings ask for, asked before anything is made."""
 
 import os
 from itertools import pairwise
@@ -59,6 +59,22 @@ def check_memory(agent: AgentSettings, inputs: int, available: int | None = None
         f"{key}: must fit into this machine's memory of {available / _GIB:.1f} GiB,"
         f" found a need of {sum(needed.values()) / _GIB:.4g} GiB"
     )
+
+
+def check_device(agent: AgentSettings) -> str:
+    """Return the name of the device that an agent's networks compute on: ``cpu``, or the GPU's.
+
+    Raises:
+        BadInputError: it is to be a GPU, and torch finds none.
+    """
+    if agent.device == "cpu":
+        return "cpu"
+    import torch
+
+    if not torch.cuda.is_available():
+        build = "this build of torch knows no CUDA" if torch.version.cuda is None else "torch finds no GPU"
+        raise BadInputError(f"agent.device: must be cpu where there is no CUDA device, found {agent.device}; {build}")
+    return torch.cuda.get_device_name()
 
 
 def physical_memory() -> int | None:

@@ -25,15 +25,16 @@ _ROOT_TWO = float(np.sqrt(2.0))
 class Buffers:
     """Memory that is used again from one update to the next: new memory costs more than what is computed in it."""
 
-    def __init__(self) -> None:
-        """Begin with none."""
+    def __init__(self, device: torch.device) -> None:
+        """Begin with none, on a device."""
+        self._device = device
         self._held: dict[tuple[str, int], Tensor] = {}
 
     def of(self, name: str, count: int, width: int) -> Tensor:
         """Return an array (count, width) of a name, with anything in it; the same memory at every call."""
         held = self._held.get((name, width))
         if held is None or len(held) < count:
-            held = self._held[name, width] = torch.empty(count + count // 4, width)
+            held = self._held[name, width] = torch.empty(count + count // 4, width, device=self._device)
         return held[:count]
 
 
@@ -49,8 +50,8 @@ class QNetwork(nn.Module):
     frequencies: Tensor
     phases: Tensor
 
-    def __init__(self, inputs: int, settings: NetworkSettings, rng: np.random.Generator) -> None:
-        """Make a network for observations (N, inputs), every weight drawn from ``rng``."""
+    def __init__(self, inputs: int, settings: NetworkSettings, rng: np.random.Generator, device: str = "cpu") -> None:
+        """Make a network for observations (N, inputs) on a device, every weight drawn from ``rng``."""
         super().__init__()
         features = settings.fourier_features
         self.register_buffer("mean", torch.zeros(inputs))
@@ -66,7 +67,9 @@ class QNetwork(nn.Module):
         for before, after in pairwise(widths):
             layers += [linear(before, after, rng), nn.ReLU()]
         self.layers = nn.Sequential(*layers, linear(widths[-1], COUNT, rng))
-        self._memory = Buffers()
+        self.device = torch.device(device)
+        self.to(self.device)
+        self._memory = Buffers(self.device)
         # Held apart, as to look them up in the modules takes as long as a small layer.
         self.weights = [(layer.weight, layer.bias) for layer in self.layers if isinstance(layer, nn.Linear)]
 
@@ -105,7 +108,7 @@ class QNetwork(nn.Module):
 
         With buffers the array is theirs, good until they are asked for the next features.
         """
-        buffers = Buffers() if buffers is None else buffers
+        buffers = Buffers(self.device) if buffers is None else buffers
         count, inputs = observations.shape
         seen = buffers.of("seen", count, inputs + self.phases.numel())
         normalised = seen[:, :inputs]
@@ -119,8 +122,8 @@ class QNetwork(nn.Module):
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the values Q (N, 10) of observations (N, inputs), without gradients."""
         with torch.no_grad():
-            features = self.features(torch.from_numpy(observations), self._memory)
-            return cast(NDArray[np.float32], self.activations(features, self._memory)[-1].numpy().copy())
+            features = self.features(torch.from_numpy(observations).to(self.device), self._memory)
+            return cast(NDArray[np.float32], self.activations(features, self._memory)[-1].cpu().numpy().copy())
 
 
 def _drawn(values: NDArray[np.float64]) -> Tensor:

@@ -86,4 +86,5 @@ class TrainReport(ReportModel):
     step_limit: Count = Field(description="steps after which an episode is cut")
     checks: list[CheckReport] = Field(description="(C,) every check, in order")
     threads: Count = Field(description="torch's threads")
+    device: str = Field(default="cpu", description="where the networks computed: `cpu`, or the name of the GPU")
     made_from: MadeFrom = Field(description="what the policy was made from")

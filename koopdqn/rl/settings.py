@@ -25,6 +25,9 @@ class AgentSettings(Settings):
 
     name: Name
     network: NetworkSettings
+    device: Literal["cpu", "cuda"] = Field(
+        default="cpu", description="where the networks compute; the same bytes again only on the CPU"
+    )
     gamma: float = Field(ge=0, lt=1, description="discount γ")
     double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
     learning_rate: float = Field(gt=0, le=1)

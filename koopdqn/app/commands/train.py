@@ -17,7 +17,7 @@ from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
-from koopdqn.rl.footprint import check_memory
+from koopdqn.rl.footprint import check_device, check_memory
 from koopdqn.rl.history import Check
 from koopdqn.rl.human_reward import Budget
 from koopdqn.rl.network import size
@@ -34,6 +34,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     began = monotonic()
     config.oracle.check()
     check_memory(config.agent, size(config.task))
+    check_device(config.agent)
     workcell = pipeline.open_scene(config)
     demonstrations = pipeline.demonstrations_for(config, workcell, folder)
     intent = pipeline.intent_for(config, demonstrations, folder)
@@ -137,6 +138,7 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "step_limit": trainer.step_limit,
         "checks": [vars(check) for check in history.checks],
         "threads": config.train.threads,
+        "device": check_device(config.agent),
         "made_from": made_from,
     }
     return TrainReport.model_validate(content).model_dump(mode="json")
