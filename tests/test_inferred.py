@@ -50,7 +50,7 @@ def test_every_step_is_a_transition_and_each_demonstration_ends_once(
     assert len(ends) == len(trajectories)
     assert ends[-1] == len(shown.actions) - 1
     # Within a demonstration one transition begins where the one before ended; across two it does not.
-    joined = (shown.following[:-1] == shown.observations[1:]).all(axis=1)
+    joined = (shown.next_observations[:-1] == shown.observations[1:]).all(axis=1)
     np.testing.assert_array_equal(joined, ~shown.terminated[:-1])
     starts = observe(np.array([trajectory[0] for trajectory in trajectories]), shelf_task)
     np.testing.assert_array_equal(shown.observations[[0, *(ends[:-1] + 1)]], starts)

@@ -30,7 +30,7 @@ def batch(seed: int, count: int = 32, **changes: np.ndarray) -> Transitions:
         "observations": rng.normal(size=(count, 5)).astype(np.float32),
         "actions": rng.integers(10, size=count),
         "rewards": rng.choice([-1.0, 1.0], size=count).astype(np.float32),
-        "following": rng.normal(size=(count, 5)).astype(np.float32),
+        "next_observations": rng.normal(size=(count, 5)).astype(np.float32),
         "terminated": np.zeros(count, dtype=bool),
         "truncated": np.zeros(count, dtype=bool),
         "undone": np.zeros(count, dtype=bool),
@@ -72,7 +72,7 @@ def loss_of(agent: AgentSettings, transitions: Transitions) -> float:
 
 def test_a_loss_is_the_mean_squared_error_to_the_targets(agent: AgentSettings) -> None:
     made, data = learner(agent), batch(0)
-    values, following = made.online.values(data.observations), made.online.values(data.following)
+    values, following = made.online.values(data.observations), made.online.values(data.next_observations)
     rows = np.arange(32)
     # The target network begins as the online one.
     targets = data.rewards + 0.5 * following[rows, following.argmax(axis=1)]
@@ -101,8 +101,8 @@ def test_what_follows_is_valued_by_the_slower_target_network(agent: AgentSetting
     slow = learner(agent).online
     data = batch(9)
     rows = np.arange(32)
-    values, following = made.online.values(data.observations), slow.values(data.following)
-    chosen = made.online.values(data.following) if double else following
+    values, following = made.online.values(data.observations), slow.values(data.next_observations)
+    chosen = made.online.values(data.next_observations) if double else following
     targets = data.rewards + 0.5 * following[rows, chosen.argmax(axis=1)]
     assert made.update(data) == pytest.approx(np.mean((values[rows, data.actions] - targets) ** 2), rel=1e-5)
 
@@ -182,7 +182,7 @@ def test_value_flows_back_from_a_later_reward(agent: AgentSettings) -> None:
                 observations=states[index],
                 actions=actions,
                 rewards=rewards,
-                following=states[index + 1],
+                next_observations=states[index + 1],
                 terminated=index == 2,
             )
         )
@@ -214,9 +214,9 @@ def test_an_update_is_that_of_autograd_and_torchs_adam_bit_for_bit(agent: AgentS
         twice = {name: np.repeat(getattr(drawn, name), 2, axis=0) for name in FIELDS}
         some = twice | {"actions": np.where(np.arange(20) % 4 == 1, 3, twice["actions"])}
         tried = Transitions(**some)
-        targets = torch.from_numpy(tried.rewards) + agent.gamma * made.target(torch.from_numpy(tried.following)).gather(
-            1, other(torch.from_numpy(tried.following)).argmax(dim=1, keepdim=True)
-        ).squeeze(1)
+        targets = torch.from_numpy(tried.rewards) + agent.gamma * made.target(
+            torch.from_numpy(tried.next_observations)
+        ).gather(1, other(torch.from_numpy(tried.next_observations)).argmax(dim=1, keepdim=True)).squeeze(1)
         values = other(torch.from_numpy(drawn.observations))
         chosen = values[np.repeat(np.arange(10), 2), tried.actions]
         loss = torch.nn.functional.mse_loss(chosen, targets.detach())

@@ -16,7 +16,7 @@ def numbered(numbers: list[int]) -> Transitions:
         observations=np.stack([column, -column], axis=1),
         actions=n % 10,
         rewards=(column / 2).astype(np.float32),
-        following=np.stack([column + 0.5, column], axis=1),
+        next_observations=np.stack([column + 0.5, column], axis=1),
         terminated=n % 2 == 0,
         truncated=n % 3 == 0,
         undone=n % 5 == 0,

@@ -328,7 +328,7 @@ def test_stored_transitions_say_what_happened(make: Make, workcell: Workcell) ->
     assert not (replay["terminated"] & wrong).any()
     task = workcell.task
     # The fourth value is the distance to the goal, the fifth the rotation from it.
-    near = replay["following"][:, 3] <= task.goal_tolerance_m
+    near = replay["next_observations"][:, 3] <= task.goal_tolerance_m
     np.testing.assert_array_equal(replay["terminated"], near & ~wrong)
     assert replay["terminated"].any()
     assert not (replay["truncated"] & replay["terminated"]).any()

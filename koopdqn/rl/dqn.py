@@ -69,8 +69,8 @@ class Adam:
 def q_targets(
     rewards: Tensor,
     stop: Tensor,
-    online_following: Tensor,
-    target_following: Tensor,
+    online_next: Tensor,
+    target_next: Tensor,
     gamma: float,
     double: bool,
 ) -> Tensor:
@@ -82,16 +82,16 @@ def q_targets(
     Args:
         rewards: (N,).
         stop: (N,) booleans: terminated, or undone and not bootstrapped. Truncated transitions do not stop.
-        online_following: Q(s', ·) (N, 10).
-        target_following: Q'(s', ·) (N, 10).
+        online_next: Q(s', ·) (N, 10).
+        target_next: Q'(s', ·) (N, 10).
         gamma: γ.
         double: which of the two.
     """
     if double:
-        best = online_following.argmax(dim=1, keepdim=True)
-        value = target_following.gather(1, best).squeeze(1)
+        best = online_next.argmax(dim=1, keepdim=True)
+        value = target_next.gather(1, best).squeeze(1)
     else:
-        value = target_following.max(dim=1).values
+        value = target_next.max(dim=1).values
     return rewards + gamma * torch.where(stop, 0.0, value)
 
 
@@ -152,7 +152,7 @@ class Learner:
         # Most actions from a state are wrong and followed by nothing.
         follows = np.flatnonzero(~stop)
         # Features are not learned: both networks have the same.
-        features = self.online.features(self._tensor(batch.following[follows]), self._features)
+        features = self.online.features(self._tensor(batch.next_observations[follows]), self._features)
         online, target = (
             network.activations(features, buffers)[-1]
             for network, buffers in ((self.online, self._online), (self.target, self._target))

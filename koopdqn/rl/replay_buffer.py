@@ -16,7 +16,7 @@ class Transitions:
         observations: (N, inputs).
         actions: (N,) indices in Table 1.
         rewards: (N,).
-        following: (N, inputs) observations after the actions.
+        next_observations: (N, inputs) observations after the actions.
         terminated: (N,) whether the goal was reached.
         truncated: (N,) whether the episode was cut there; the value beyond still counts.
         undone: (N,) whether the action was wrong and stepped back from.
@@ -30,7 +30,7 @@ class Transitions:
     observations: NDArray[np.float32]
     actions: NDArray[np.int64]
     rewards: NDArray[np.float32]
-    following: NDArray[np.float32]
+    next_observations: NDArray[np.float32]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
     undone: NDArray[np.bool_]
@@ -60,7 +60,7 @@ class ReplayBuffer:
             "observations": np.zeros((capacity, inputs), np.float32),
             "actions": np.zeros(capacity, np.int64),
             "rewards": np.zeros(capacity, np.float32),
-            "following": np.zeros((capacity, inputs), np.float32),
+            "next_observations": np.zeros((capacity, inputs), np.float32),
             "terminated": np.zeros(capacity, np.bool_),
             "truncated": np.zeros(capacity, np.bool_),
             "undone": np.zeros(capacity, np.bool_),
