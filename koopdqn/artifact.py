@@ -13,6 +13,7 @@ import numpy as np
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path, canonical_json
 from koopdqn.settings import TARGET, Settings
+from koopdqn.untrusted import check_targets
 
 FORMAT_VERSION = 1
 _KEY = "koopdqn"
@@ -70,7 +71,8 @@ def read_artifact(path: Path, kind: str) -> Artifact:
     """Read an artifact.
 
     Raises:
-        BadInputError: the file is missing, truncated, of another kind or format, or was changed by hand.
+        BadInputError: the file is missing, truncated, of another kind or format, was changed by hand, or names a
+            class that it may not (:mod:`koopdqn.untrusted`).
     """
     what = f"{kind} file {path}"
     if not path.is_file():
@@ -90,6 +92,7 @@ def read_artifact(path: Path, kind: str) -> Artifact:
         raise BadInputError(f"{what} must have format version {FORMAT_VERSION}, found {version}")
     if sha != arrays_digest(arrays):
         raise BadInputError(f"{what} must hold the arrays it was written with, found others: it was changed by hand")
+    check_targets(about, what)
     return Artifact(kind, arrays, about)
 
 

@@ -302,10 +302,10 @@ def test_a_damaged_checkpoint_is_not_gone_on_from_and_nothing_is_touched(
     ("record", "expected"),
     [
         ("[", "cannot be read"),
-        ("a: 1", "must be a list of overrides, found {'a': 1}"),
+        ("a: 1", "must be a list of at most 1000 overrides, found 'a: 1'"),
         ("", "must hold what it was begun with, found it stopped before it had begun"),
-        ("- 5", "must be a list of overrides, found [5]"),
-        ("- seed", "must be a list of overrides, found ['seed']"),
+        ("- 5", "must be a list of overrides key=value of koopdqn's keys, found '5'"),
+        ("- seed", "must be a list of overrides key=value of koopdqn's keys, found 'seed'"),
         ("- command=demo", "must name a run of 'train', found one of 'demo'"),
         ("- depth=1", "unknown key depth; valid: agent"),
     ],

@@ -42,6 +42,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
     from koopdqn.app.commands.stages import with_task
+    from koopdqn.settings import plain
+    from koopdqn.untrusted import targets, trusting
 
     settings = Configuration.load(config)
     for key in _FOREIGN_INPUTS.get(command, ()):
@@ -50,7 +52,9 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
             name = "intent" if key == "intent_file" else key
             found = ", ".join(value) if isinstance(value, tuple) else str(value)
             raise BadInputError(f"{name}: koopdqn {command} reads no such file or folder, found {found!r}")
-    with warnings.catch_warnings():
+    # What the config names was named by the user: a run's record may name classes of koopdqn alone.
+    named = [str(target).rpartition(".")[0] for _, target in targets(plain(config))]
+    with warnings.catch_warnings(), trusting([*settings.inputs.trust_modules, *named]):
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)

@@ -83,6 +83,9 @@ def require_writable(folder: Path) -> None:
 def _taken(path: object) -> str:
     """Make a folder that is nobody else's yet, numbered where the name is taken: the clock tells seconds only."""
     wanted = Path(str(path))
+    # The name holds the task's, which nothing has checked yet.
+    if ".." in wanted.parts or not str(path).isprintable():
+        raise BadInputError(f"task.name: must be a name that a folder can have, found one that makes {str(path)!r}")
     require_writable(wanted.parent)
     for number in itertools.count(1):
         folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
