@@ -5,13 +5,14 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import IO, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Earlier, Oracle, Question
+from koopdqn.run_folder import open_own
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
 from koopdqn.tasks.actions import COUNT
@@ -339,17 +340,18 @@ class JournalFile:
         """Open a journal, or begin one; a last line cut off by a crash goes.
 
         Raises:
-            BadInputError: the journal cannot be written.
+            BadInputError: the journal cannot be written, or is a link.
         """
         try:
-            _cut_torn_line(path)
-            self._file = path.open("a", encoding="utf-8")
+            self._file = os.fdopen(open_own(path, os.O_RDWR | os.O_APPEND), "a+b")
+            _cut_torn_line(self._file)
         except OSError as error:
             raise BadInputError(f"journal {path} must be writable, the system says: {error.strerror}") from error
 
     def append(self, line: ReportModel) -> None:
         """Append a line; it is on disk when this returns."""
-        self._file.write(json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n")
+        text = json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n"
+        self._file.write(text.encode())
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -473,11 +475,9 @@ def _undo_line(item: Earlier, question: Question) -> UndoLine:
     )
 
 
-def _cut_torn_line(path: Path) -> None:
-    if not path.exists():
-        return
-    content = path.read_bytes()
+def _cut_torn_line(file: IO[bytes]) -> None:
+    file.seek(0)
+    content = file.read()
     whole = content.rfind(b"\n") + 1
     if whole < len(content):
-        with path.open("rb+") as file:
-            file.truncate(whole)
+        file.truncate(whole)

@@ -13,6 +13,7 @@ from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import digest, read_json
 from koopdqn.rl.schema import TrainReport
 from koopdqn.robot.arm import Arm
+from koopdqn.run_folder import check_plain
 from koopdqn.schema import ReportModel
 from koopdqn.settings import TARGET, Name, NonNegativeInt, PathText, Settings, load_settings
 from koopdqn.tasks.task import Task
@@ -118,6 +119,7 @@ def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[
         if not (folder / POLICY).is_file():
             continue
         try:
+            check_plain(folder)
             runs[folder.resolve()] = _with_evaluation(_read(folder), evaluations)
         except BadInputError as error:
             skipped[folder.resolve()] = Skipped(folder, str(error))
@@ -172,6 +174,7 @@ def _evaluations(folders: Sequence[Path]) -> tuple[list[tuple[Path, Mapping[str,
     skipped: dict[Path, Skipped] = {}
     for file in _below(folders, EVALUATION):
         try:
+            check_plain(file.parent)
             content = EvaluationFile.model_validate(read_json(file, "the evaluation")).model_dump(mode="json")
         except BadInputError as error:
             skipped[file.resolve()] = Skipped(file.parent, str(error))

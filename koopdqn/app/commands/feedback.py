@@ -13,15 +13,20 @@ from koopdqn.oracles import repair
 from koopdqn.oracles.journal import JOURNAL, FeedbackSummary, Record, Records, read_records
 from koopdqn.oracles.repair import summarised
 from koopdqn.oracles.wording import SHORT, verdict
+from koopdqn.run_folder import check_plain, locked
 
 
 def journal_path(given: Path) -> Path:
     """Return the journal that a file or a run folder names.
 
     Raises:
-        BadInputError: there is none.
+        BadInputError: there is none, or it is reached by a link within the folder.
     """
+    if given.is_dir():
+        check_plain(given)
     path = given / JOURNAL if given.is_dir() else given
+    if path.is_symlink():
+        raise BadInputError(f"journal: must be a file, found a link: {path}")
     if not path.is_file():
         raise BadInputError(f"journal: must name a journal or a run folder that holds {JOURNAL}, found {str(given)!r}")
     return path
@@ -49,8 +54,9 @@ def figures(journals: Sequence[Path]) -> dict[str, Any]:
 def edit(journal: Path, number: int, answer: str, teacher: str | None, *, drop_later: bool) -> None:
     """Change an answer and say what it is now, and what that means for the run."""
     path = journal_path(journal)
-    learned = _learned_answers(path.parent) if path.name == JOURNAL else 0
-    item = repair.edit(path, number, answer, teacher, learned, drop_later=drop_later)
+    with locked(path.parent):
+        learned = _learned_answers(path.parent) if path.name == JOURNAL else 0
+        item = repair.edit(path, number, answer, teacher, learned, drop_later=drop_later)
     dropped = "; later answers no longer count" if drop_later else ""
     console.say(f"answer {number} is now {_verdict(item)}, by {item.line.source}{dropped}")
     if number < learned:

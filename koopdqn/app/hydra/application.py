@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 from koopdqn import console
-from koopdqn.app.hydra.folder import register_resolver, require_new
+from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.resources import conf_dir
+from koopdqn.run_folder import locked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -63,7 +64,8 @@ class Job:
         folder = Path(hydra.runtime.output_dir)
         if not self.continues:
             require_new(folder, ignore=f"{hydra.job.name}.log")
-        outcome = self.work(self.command, config, folder)
+        with locked(folder):
+            outcome = self.work(self.command, config, folder)
         number = int(hydra.job.num) if _in_sweep() else 0
         record = {"exit_status": outcome.exit_status, "sweep": _in_sweep(), "result": outcome.result}
         text = json.dumps(record, allow_nan=False)
@@ -149,6 +151,7 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
         else:
             os.environ["HYDRA_FULL_ERROR"] = before[2]
         register_resolver(check=False)
+        release_taken()
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koopdqn.errors import BadInputError
+from koopdqn.run_folder import hold, release
 
 RESOLVER = "new_folder"
 """Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
@@ -15,6 +16,9 @@ PER_TASK = "per_task"
 """Name of the OmegaConf resolver ``${per_task:NAME,USUAL,{OTHER: VALUE}}``: Appendix 7.1 gives some tasks their own."""
 FREE_RESOLVER = "free_folder"
 """Name of the OmegaConf resolver ``${free_folder:…}`` that conf/ puts around the run folder's default name."""
+
+
+_held: list[Path] = []
 
 
 def register_resolver(*, check: bool) -> None:
@@ -102,4 +106,13 @@ def _checked(path: object) -> str:
         raise BadInputError(f"out: must name a folder, found {path!r}")
     require_new(Path(text))
     require_writable(Path(text))
+    # Before Hydra writes there: of two commands started at once the second must not touch the first one's record.
+    if hold(Path(text)):
+        _held.append(Path(text))
     return text
+
+
+def release_taken() -> None:
+    """Unlock the run folders that the resolver has taken."""
+    while _held:
+        release(_held.pop())

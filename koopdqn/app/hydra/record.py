@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.resources import check_asset
+from koopdqn.run_folder import check_plain
 from koopdqn.settings import shown
 from koopdqn.untrusted import TARGET, check_target
 
@@ -66,12 +67,13 @@ def read_record(folder: Path, what: str) -> list[Recorded]:
         what: of what it must be, for messages: "a training run".
 
     Raises:
-        BadInputError: there is no record, it is no plain list of overrides, or one of them is not a value of a key of
-            koopdqn's.
+        BadInputError: the folder holds links, there is no record, it is no plain list of overrides, or one of them is
+            not a value of a key of koopdqn's.
     """
     path = folder / RECORD
     if not folder.is_dir():
         raise BadInputError(f"run: must name the folder of {what}, found no folder {str(folder)!r}")
+    check_plain(folder)
     if not path.is_file():
         raise BadInputError(f"run: must name the folder of {what}, found no {RECORD} in {str(folder)!r}")
     if not path.stat().st_size:
