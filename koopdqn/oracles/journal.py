@@ -2,8 +2,9 @@
 
 import json
 import os
-from collections.abc import Callable
+from collections import defaultdict
 from dataclasses import dataclass, replace
+from heapq import heappop, heappush
 from pathlib import Path
 from typing import IO, Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from koopdqn.errors import BadInputError
+from koopdqn.files import LARGEST_JSON, parse_json
 from koopdqn.oracles.base import Answer, Earlier, Oracle, Question
 from koopdqn.run_folder import open_own
 from koopdqn.schema import ReportModel
@@ -201,9 +203,11 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     """Return the lines of a journal as JSON objects; a last line cut off by a crash is left out.
 
     Raises:
-        BadInputError: the file cannot be read, or a line before the last is no JSON object.
+        BadInputError: the file cannot be read, is too large, or a line before the last is no JSON object.
     """
     try:
+        if path.stat().st_size > LARGEST_JSON:
+            raise BadInputError(f"journal {path}: must hold at most {LARGEST_JSON} bytes, found {path.stat().st_size}")
         # What follows the last line's end was torn off, even where it reads as JSON.
         *lines, _ = path.read_bytes().split(b"\n")
     except OSError as error:
@@ -213,7 +217,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         if not line:
             continue
         try:
-            item = json.loads(line)
+            item = parse_json(line)
             if not isinstance(item, dict):
                 raise ValueError("no JSON object")
         except ValueError as error:
@@ -228,30 +232,113 @@ def read_records(path: Path) -> Records:
     Raises:
         BadInputError: the file cannot be read, or a line is damaged, out of order or of no answer.
     """
-    records = Records()
-    lines: list[Line] = []
+    reader = _Reader()
     for number, item in enumerate(read_lines(path), start=1):
         if item.get("kind") not in _KINDS:
             continue
         try:
-            line = _LINE.validate_python(item)
-            lines = _without_dropped(lines, line) if isinstance(line, DropLine) else [*lines, line]
-            # A dropped answer's own doings, such as what it withdrew, are best forgotten by starting over.
-            records = _together(lines) if isinstance(line, DropLine) else _APPLY[line.kind](records, line)
+            reader.read(_LINE.validate_python(item))
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             key = ".".join(str(part) for part in first["loc"][1:])
             raise BadInputError(f"journal {path}: line {number}: {key}: {first['msg']}") from error
         except ValueError as error:
             raise BadInputError(f"journal {path}: line {number}: {error}") from error
-    return records
+    return reader.records()
 
 
-def _together(lines: list[Line]) -> Records:
-    records = Records()
-    for line in lines:
-        records = _APPLY[line.kind](records, line)
-    return records
+_KINDS = ("answer", "undo", "edit", "opinion", "drop")
+# Lines read anew because of drops; nobody comes near it, and a made-up journal must not take hours.
+_MOST_READ_ANEW = 2_000_000
+
+
+class _Reader:
+    """What a journal's lines come to, in time proportional to their number."""
+
+    def __init__(self) -> None:
+        self._lines: list[Line] = []
+        self._read_anew = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._items: list[Record] = []
+        self._opinions: defaultdict[int, list[Opinion]] = defaultdict(list)
+        self._pending = 0
+        # Numbers, negative, of answers that may be withdrawn, the latest first; some may have been since.
+        self._latest: list[int] = []
+
+    def records(self) -> Records:
+        """Return the content so far."""
+        items = list(self._items)
+        for number, opinions in self._opinions.items():
+            items[number] = replace(items[number], opinions=tuple(opinions))
+        return Records(tuple(items), self._pending)
+
+    def read(self, line: Line) -> None:
+        """Take in a line.
+
+        Raises:
+            ValueError: it does not fit those before it.
+        """
+        if isinstance(line, DropLine):
+            # A dropped answer's own doings, such as what it withdrew, are best forgotten by starting over.
+            self._lines = _without_dropped(self._lines, line)
+            self._read_anew += len(self._lines)
+            if self._read_anew > _MOST_READ_ANEW:
+                raise ValueError(f"drops must not make more than {_MOST_READ_ANEW} lines be read anew, found more")
+            self._begin()
+            for each in self._lines:
+                self._apply(each)
+        else:
+            self._apply(line)
+            self._lines.append(line)
+
+    def _apply(self, line: Line) -> None:
+        match line:
+            case AnswerLine():
+                if line.number != len(self._items):
+                    raise ValueError(
+                        f"answers must be numbered in order, so {len(self._items)} here, found {line.number}"
+                    )
+                self._items.append(Record(line, self._pending))
+                self._pending = 0
+                self._may_be_withdrawn(line)
+            case UndoLine():
+                latest = self._withdrawable()
+                if line.number != latest:
+                    raise ValueError(
+                        f"an undo must withdraw the latest answer that stands, {latest}, found {line.number}"
+                    )
+                self._items[latest] = replace(self._items[latest], withdrawn=True)
+                self._pending += 1
+            case EditLine():
+                before = self._at(line.number)
+                changes = {"right": line.right, "better": line.better, "source": line.source}
+                answer = before.line.model_copy(update=changes)
+                learned = before.learned or line.learned
+                self._items[line.number] = replace(before, line=answer, edited=True, learned=learned)
+                self._may_be_withdrawn(answer)
+            case OpinionLine():
+                self._at(line.number)
+                self._opinions[line.number].append(Opinion(line.source, line.right, line.better))
+
+    def _at(self, number: int) -> Record:
+        if number >= len(self._items):
+            raise ValueError(f"number must be that of an answer before it, 0 to {len(self._items) - 1}, found {number}")
+        return self._items[number]
+
+    def _may_be_withdrawn(self, line: AnswerLine) -> None:
+        if line.right is not None:
+            heappush(self._latest, -line.number)
+
+    def _withdrawable(self) -> int | None:
+        """Return the number of the latest answer that an undo may withdraw, or None."""
+        while self._latest:
+            item = self._items[-self._latest[0]]
+            if not item.withdrawn and item.line.right is not None:
+                return item.line.number
+            heappop(self._latest)
+        return None
 
 
 def _without_dropped(lines: list[Line], drop: DropLine) -> list[Line]:
@@ -262,51 +349,6 @@ def _without_dropped(lines: list[Line], drop: DropLine) -> list[Line]:
     end = places[drop.number] + 1
     later = (line for line in lines[end:] if isinstance(line, EditLine | OpinionLine) and line.number <= drop.number)
     return [*lines[:end], *later]
-
-
-def _answered(records: Records, line: AnswerLine) -> Records:
-    if line.number != len(records.items):
-        raise ValueError(f"answers must be numbered in order, so {len(records.items)} here, found {line.number}")
-    return Records((*records.items, Record(line, records.pending)))
-
-
-def _undone(records: Records, line: UndoLine) -> Records:
-    latest = records.withdrawable[-1].line.number if records.withdrawable else None
-    if line.number != latest:
-        raise ValueError(f"an undo must withdraw the latest answer that stands, {latest}, found {line.number}")
-    changed = _changed(records, line.number, withdrawn=True)
-    return replace(changed, pending=records.pending + 1)
-
-
-def _edited(records: Records, line: EditLine) -> Records:
-    before = _at(records, line.number)
-    answer = before.line.model_copy(update={"right": line.right, "better": line.better, "source": line.source})
-    return _changed(records, line.number, line=answer, edited=True, learned=before.learned or line.learned)
-
-
-def _opined(records: Records, line: OpinionLine) -> Records:
-    opinion = Opinion(line.source, line.right, line.better)
-    return _changed(records, line.number, opinions=(*_at(records, line.number).opinions, opinion))
-
-
-def _at(records: Records, number: int) -> Record:
-    if number >= len(records.items):
-        raise ValueError(f"number must be that of an answer before it, 0 to {len(records.items) - 1}, found {number}")
-    return records.items[number]
-
-
-def _changed(records: Records, number: int, **fields: Any) -> Records:
-    item = replace(_at(records, number), **fields)
-    return replace(records, items=(*records.items[:number], item, *records.items[number + 1 :]))
-
-
-_APPLY: dict[str, Callable[[Records, Any], Records]] = {
-    "answer": _answered,
-    "undo": _undone,
-    "edit": _edited,
-    "opinion": _opined,
-}
-_KINDS = (*_APPLY, "drop")
 
 
 JOURNAL = "feedback.jsonl"

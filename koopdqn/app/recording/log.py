@@ -1,6 +1,5 @@
 """The log of a recording: every key that counted, on disk before the next, so that a killed session goes on."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Final, Literal, cast
 
@@ -9,7 +8,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from koopdqn.app.recording.settings import DemoSettings
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
-from koopdqn.files import digest
+from koopdqn.files import LARGEST_JSON, digest, parse_json
 from koopdqn.schema import ReportModel, Sha256
 from koopdqn.settings import Name, NonNegative, NonNegativeInt, Positive, Settings
 from koopdqn.tasks.workcell import Workcell
@@ -68,13 +67,15 @@ def logged_keys(path: Path, session: SessionLine) -> str:
     if not path.exists():
         return ""
     try:
+        if path.stat().st_size > LARGEST_JSON:
+            raise ValueError(f"more than {LARGEST_JSON} bytes")
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise BadInputError(f"{path} must be a readable text file, found: {error}") from error
     keys = []
     for number, line in enumerate(text[: text.rfind("\n") + 1].splitlines(), start=1):
         try:
-            read = _LINE.validate_python(json.loads(line))
+            read = _LINE.validate_python(parse_json(line))
         except (ValueError, ValidationError) as error:
             raise BadInputError(f"{path}, line {number}: must be a line of a recording, found {line[:60]!r}") from error
         if isinstance(read, SessionLine) != (number == 1):
