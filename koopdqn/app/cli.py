@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from koopdqn import __version__, console
-from koopdqn.app.exit_status import guard
+from koopdqn.app.exit_status import guard, let_go_of_closed_streams
 from koopdqn.app.feedback_cli import feedback_app
 from koopdqn.errors import BadInputError
 
@@ -247,7 +247,7 @@ def _compose_and_run(name: str, options: Mapping[str, object], overrides: Sequen
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0 done; 1 the work itself failed; 2 bad input, told in one line; 130 interrupted (Ctrl-C or SIGTERM).
+    0 done; 1 the work itself failed; 2 bad input, told in one line; 130 interrupted (Ctrl-C, SIGTERM, SIGHUP).
 
     Args:
         arguments: what follows ``koopdqn`` on the command line; None reads ``sys.argv``.
@@ -257,7 +257,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # a terminal that cannot show ° or ρ must not end a run
         with contextlib.suppress(AttributeError, ValueError):
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # absent on replaced streams
-    return guard(lambda: _run_app(given), debug="--debug" in given)
+    try:
+        return guard(lambda: _run_app(given), debug="--debug" in given)
+    finally:
+        let_go_of_closed_streams()
 
 
 def _run_app(arguments: Sequence[str]) -> int:

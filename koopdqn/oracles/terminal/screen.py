@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
+from koopdqn import console
 from koopdqn.oracles import wording
 from koopdqn.oracles.base import Question
 from koopdqn.tasks.task import Task
@@ -136,7 +137,7 @@ def _head(shown: Shown, width: int) -> Text:
     if question is not None:
         left = "" if question.left is None else f", {question.left} left"
         text += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
-    text += f"   {shown.teacher}"
+    text += f"   {console.visible(shown.teacher)}"
     return Text(text[:width].ljust(width), style=_HEAD)
 
 
