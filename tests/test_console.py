@@ -4,7 +4,6 @@ import pty
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
@@ -141,8 +140,9 @@ def test_a_closed_terminal_ends_with_status_130_and_under_nohup_not_at_all(tmp_p
             preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN) if ignored else None,  # noqa: B023
         )
         os.close(slave)
-        while b"ready" not in os.read(master, 1000):
-            time.sleep(0.01)
+        said = b""
+        while b"ready\r\n" not in said:
+            said += os.read(master, 1000)
         os.close(master)
         process.send_signal(signal.SIGHUP)
         assert process.wait(60) == status

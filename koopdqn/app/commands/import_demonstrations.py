@@ -17,6 +17,11 @@ from koopdqn.demonstrations.reading import files_of, read_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
 
+_AT_ONCE = 10_000
+"""Poses whose joint angles are looked for together."""
+_MOST_SHOWN = 100
+"""Demonstrations in the table."""
+
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Write what ``demos=`` names to ``demos.hdf5``, sample for sample, and say what is in it."""
@@ -48,7 +53,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     table = Table(title=f"{len(demonstrations)} demonstrations for task {name}")
     for heading in ("demo", "samples", "time", "idle before", "after", "path", "turn", "reached"):
         table.add_column(heading, justify="right")
-    for index, (item, each) in enumerate(zip(demonstrations.items, cut, strict=True)):
+    for index, (item, each) in enumerate(zip(demonstrations.items[:_MOST_SHOWN], cut, strict=False)):
         table.add_row(
             str(index),
             str(len(item)),
@@ -61,6 +66,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         )
     lines: list[RenderableType] = [
         table,
+        *([f"and {len(cut) - _MOST_SHOWN} more, which --json lists"] if len(cut) > _MOST_SHOWN else []),
         "idle ends are kept in the file; learning cuts them off",
         f"demonstrations  {console.shown_path(path)}",
     ]
@@ -77,4 +83,7 @@ def _trimmed(index: int, item: Demonstration) -> Trimmed:
 
 
 def _reachable(config: Configuration, poses: pose.Array) -> bool:
-    return all(len(config.robot.solutions(each)) for each in poses)
+    parts = (poses[begin : begin + _AT_ONCE] for begin in range(0, len(poses), _AT_ONCE))
+    return not any(
+        np.isnan(config.robot.inverse_batch(part, np.tile(config.robot.home, (len(part), 1)))).any() for part in parts
+    )
