@@ -120,6 +120,8 @@ def reading(what: str) -> Iterator[None]:
         yield
     except KoopdqnError:
         raise
+    except OSError as error:
+        raise BadInputError(f"{what} must be readable, the system says: {error.strerror or error}") from error
     # safetensors' own error derives from Exception alone, and odd content raises anything
     except Exception as error:
         raise BadInputError(f"{what} must be a whole artifact written by koopdqn, found: {shown(error)}") from error

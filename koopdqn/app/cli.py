@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from koopdqn import __version__, console
-from koopdqn.app.exit_status import guard, let_go_of_closed_streams
+from koopdqn.app.exit_status import guard, let_go_of_closed_streams, open_missing_streams
 from koopdqn.app.feedback_cli import feedback_app
 from koopdqn.errors import BadInputError
 
@@ -253,11 +253,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: what follows ``koopdqn`` on the command line; None reads ``sys.argv``.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    missing = open_missing_streams()
     for stream in (sys.stdout, sys.stderr):
         # a terminal that cannot show ° or ρ must not end a run
         with contextlib.suppress(AttributeError, ValueError):
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # absent on replaced streams
     try:
+        if "stdout" in missing and "--json" in given:
+            console.fail("--json: standard output must be open, found it closed")
+            return 2
         return guard(lambda: _run_app(given), debug="--debug" in given)
     finally:
         let_go_of_closed_streams()

@@ -15,6 +15,22 @@ INTERRUPTED = 130
 """Exit status of a command ended by Ctrl-C, SIGTERM, or a terminal that was closed (SIGHUP)."""
 
 
+def open_missing_streams() -> set[str]:
+    """Point standard streams that were closed before this process began at nothing, and return their names.
+
+    Otherwise the next file that is opened takes the place of one, and gets what is printed.
+    """
+    missing = {name for name in ("stdin", "stdout", "stderr") if getattr(sys, name) is None}
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if name in missing:
+            nothing = os.open(os.devnull, os.O_RDWR)
+            if nothing != number:
+                os.dup2(nothing, number)
+                os.close(nothing)
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
+    return missing
+
+
 def let_go_of_closed_streams() -> None:
     """Point standard output and error at nothing where their other end is gone.
 

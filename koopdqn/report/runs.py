@@ -7,10 +7,13 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, Strict, ValidationError
 
-from koopdqn.artifact import read_artifact
+from koopdqn.artifact import read_artifact, reading
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import digest, read_json
+from koopdqn.intent.model import IntentSettings
+from koopdqn.intent.reward import RewardSettings
+from koopdqn.intent.trust import TrustSettings
 from koopdqn.rl.schema import TrainReport
 from koopdqn.robot.arm import Arm
 from koopdqn.run_folder import check_plain
@@ -146,11 +149,17 @@ def _read(folder: Path) -> Run:
         raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
     about = read_artifact(folder / POLICY, "policy").about
     try:
-        nodes = about["task"], about["robot"]
+        nodes = {name: about[name] for name in ("task", "robot", "intent", "trust", "reward", "agent", "seed")}
     except KeyError as error:
         raise BadInputError(f"{folder / POLICY} must say what shaped it, found no {error}") from error
-    task = load_settings(_without_item_targets(nodes[0]), Task, "task")
-    return Run(folder, train, about, task, load_settings(_without_item_targets(nodes[1]), Arm, "robot"))
+    with reading(f"policy {folder / POLICY}"):
+        task = load_settings(_without_item_targets(nodes["task"]), Task, "task")
+        arm = load_settings(_without_item_targets(nodes["robot"]), Arm, "robot")
+        # The figures need them later.
+        load_settings(nodes["intent"], IntentSettings, "intent")
+        load_settings(nodes["trust"], TrustSettings, "trust")
+        load_settings(nodes["reward"], RewardSettings, "reward")
+        return Run(folder, train, about, task, arm)
 
 
 def _first(error: ValidationError) -> str:

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from koopdqn.artifact import Artifact, read_artifact, write_artifact
+from koopdqn.artifact import Artifact, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.files import canonical_json
 from koopdqn.rl.algorithm1 import Trainer
@@ -45,7 +45,10 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     if not path.exists():
         return None
     artifact = read_artifact(path, KIND)
-    other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
+    with reading(f"checkpoint {path}"):
+        other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
+        float(artifact.about["seconds"])
+        questions_asked(artifact)
     if other:
         shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
         raise BadInputError(

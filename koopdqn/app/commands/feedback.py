@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 
 from koopdqn import console
-from koopdqn.artifact import read_artifact
+from koopdqn.artifact import read_artifact, reading
 from koopdqn.errors import BadInputError
 from koopdqn.oracles import repair
 from koopdqn.oracles.journal import JOURNAL, FeedbackSummary, Record, Records, read_records
@@ -86,7 +86,8 @@ def _learned_answers(folder: Path) -> int:
     path = checkpoint_path(folder)
     if not path.exists():
         return 0
-    return questions_asked(read_artifact(path, KIND))
+    with reading(f"checkpoint {path}"):
+        return questions_asked(read_artifact(path, KIND))
 
 
 def _answers(title: str, records: Records) -> Table:

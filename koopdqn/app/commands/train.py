@@ -9,12 +9,13 @@ from koopdqn import console
 from koopdqn.app.commands import stages
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
+from koopdqn.artifact import reading
 from koopdqn.files import write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
 from koopdqn.oracles.journal import JOURNAL, JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
 from koopdqn.rl.experience import Asking
 from koopdqn.rl.history import Check
@@ -58,7 +59,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         Asking(config.oracle.ask, config.oracle.gather_most),
     )
     if checkpoint is not None:
-        trainer.restore(checkpoint.arrays, checkpoint.about["state"])
+        with reading(f"checkpoint {checkpoint_path(folder)}"):
+            trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
     _learn(trainer, oracle, folder, shaped_by, began - before, bar=not config.oracle.shows_progress)
     seconds = before + monotonic() - began

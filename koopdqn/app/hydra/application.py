@@ -49,15 +49,6 @@ class Job:
 
     def __call__(self, config: "DictConfig") -> float | None:
         """Run the command and return its objective (for sweepers); the config comes from Hydra."""
-        try:
-            return self._run(config)
-        except Exception:
-            if not _in_sweep():
-                # Hydra adds a line of its own for a failed job, which says nothing the error does not
-                sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
-            raise
-
-    def _run(self, config: "DictConfig") -> float | None:
         from hydra.core.hydra_config import HydraConfig
 
         hydra = HydraConfig.get()
@@ -140,6 +131,8 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
     # hydra.main reads the command line itself, and with this variable lets errors through to the caller
     sys.argv = [sys.argv[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
+    # Hydra adds a line of its own for a failed job, which says nothing the error does not
+    sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
     try:
         hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")(job)()
     finally:

@@ -105,6 +105,9 @@ def _checked(path: object) -> str:
     if path is None or not text.strip():
         raise BadInputError(f"out: must name a folder, found {path!r}")
     require_new(Path(text))
+    # Hydra would write over what an earlier run was begun with.
+    if (Path(text) / ".hydra").exists():
+        raise BadInputError(f"out: must name a new or an empty folder, found {text!r}, which holds .hydra of a run")
     require_writable(Path(text))
     # Before Hydra writes there: of two commands started at once the second must not touch the first one's record.
     if hold(Path(text)):
