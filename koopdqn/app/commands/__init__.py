@@ -43,6 +43,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     from koopdqn.app.commands.configuration import Configuration
     from koopdqn.app.commands.stages import with_task
     from koopdqn.settings import plain
+    from koopdqn.threads import threads
     from koopdqn.untrusted import targets, trusting
 
     settings = Configuration.load(config)
@@ -54,7 +55,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
             raise BadInputError(f"{name}: koopdqn {command} reads no such file or folder, found {found!r}")
     # What the config names was named by the user: a run's record may name classes of koopdqn alone.
     named = [str(target).rpartition(".")[0] for _, target in targets(plain(config))]
-    with warnings.catch_warnings(), trusting([*settings.inputs.trust_modules, *named]):
+    with warnings.catch_warnings(), trusting([*settings.inputs.trust_modules, *named]), threads(settings.train.threads):
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)

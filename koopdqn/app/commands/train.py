@@ -10,7 +10,8 @@ from koopdqn.app.commands import stages
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
-from koopdqn.files import write_json
+from koopdqn.errors import BadInputError
+from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
 from koopdqn.oracles.journal import JOURNAL, JournalledOracle
@@ -24,6 +25,7 @@ from koopdqn.rl.memory import check_memory
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
 from koopdqn.rl.schema import TrainReport
+from koopdqn.settings import shown
 
 POLICY = "policy.safetensors"
 REPORT = "train.json"
@@ -35,6 +37,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
     began = monotonic()
     config.oracle.check()
+    _check_threads(config)
     check_memory(config.agent, size(config.task))
     workcell = stages.open_scene(config)
     demonstrations = stages.demonstrations_for(config, workcell, folder)
@@ -74,6 +77,21 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         objective=report["best_success_rate"],
         exit_status=0 if trainer.learned else 1,
     )
+
+
+def _check_threads(config: Configuration) -> None:
+    """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
+    journal = getattr(config.oracle, "journal", None)
+    report = None if journal is None else Path(journal).parent / REPORT
+    if report is None or not report.is_file():
+        return
+    content = read_json(report, "the training report")
+    recorded = content.get("threads") if isinstance(content, dict) else None
+    if recorded not in (None, config.train.threads):
+        raise BadInputError(
+            f"train.threads: must be that of the run whose journal is given again ({shown(recorded)}, {report}), found"
+            f" {config.train.threads}: sums in another order lead to other questions"
+        )
 
 
 def _learn(
