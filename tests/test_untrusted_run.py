@@ -1,13 +1,18 @@
 """A run folder is data: whatever a stranger wrote into it, nothing of it is executed and nothing outside is touched."""
 
 import json
+import os
 import pickle
 import shutil
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+from demos_file import unsealed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_run import SMALL
@@ -252,3 +257,87 @@ def test_an_artifact_names_no_class_but_koopdqns_own(
     with trusting(["os"]):
         write_artifact(path, Artifact("intent", {"a": np.zeros(2)}, {"x": {"target": "os.system"}}))
         assert read_artifact(path, "intent").about["x"] == {"target": "os.system"}
+
+
+def _policy_of_another_module(run: Path, victim: Path) -> None:
+    artifact = read_artifact(run / "policy.safetensors", "policy")
+    task = {**artifact.about["task"], "target": "evil_lab.Task"}
+    write_artifact(run / "policy.safetensors", replace(artifact, about={**artifact.about, "task": task}))
+
+
+def _intent_bomb(run: Path, victim: Path) -> None:
+    with zipfile.ZipFile(run / "intent.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("matrix.npy", bytes(2**26))
+
+
+def _intent_without_arrays(run: Path, victim: Path) -> None:
+    artifact = read_artifact(run / "intent.npz", "intent")
+    write_artifact(run / "intent.npz", replace(artifact, arrays={"matrix": np.zeros((2, 2))}))
+
+
+def _demonstrations_elsewhere(run: Path, victim: Path) -> None:
+    with h5py.File(victim.with_suffix(".hdf5"), "w") as file:
+        file["x"] = np.zeros((5, 3))
+    with h5py.File(run / "demos.hdf5", "r+") as file:
+        del file["data/demo_0/obs/eef_pos"]
+        file["data/demo_0/obs/eef_pos"] = h5py.ExternalLink(str(victim.with_suffix(".hdf5")), "/x")
+    unsealed(run / "demos.hdf5")
+
+
+def _deep_report(run: Path, victim: Path) -> None:
+    (run / "train.json").write_text("[" * 100_000)
+
+
+def _long_report(run: Path, victim: Path) -> None:
+    (run / "train.json").write_text(json.dumps({"step_limit": 10**15}))
+
+
+def _linked_journal(run: Path, victim: Path) -> None:
+    (run / "feedback.jsonl").unlink()
+    (run / "feedback.jsonl").symlink_to(victim)
+
+
+def _linked_folder(run: Path, victim: Path) -> None:
+    shutil.rmtree(run / "checkpoints")
+    (run / "checkpoints").symlink_to(victim.parent)
+
+
+def _pipe(run: Path, victim: Path) -> None:
+    (run / "train.json").unlink()
+    os.mkfifo(run / "train.json")
+
+
+@pytest.mark.parametrize(
+    "attack",
+    [
+        _policy_of_another_module,
+        _intent_bomb,
+        _intent_without_arrays,
+        _demonstrations_elsewhere,
+        _deep_report,
+        _long_report,
+        _linked_journal,
+        _linked_folder,
+        _pipe,
+    ],
+)
+def test_a_folder_built_to_attack_ends_in_one_line_and_touches_nothing(
+    run: Path,
+    victim: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    attack: Callable[[Path, Path], None],
+) -> None:
+    (tmp_path / "work" / "evil_lab.py").write_text(f"open({str(tmp_path / 'home' / 'executed')!r}, 'w')\n")
+    attack(run, victim)
+    kept = {folder: contents(tmp_path / folder) for folder in ("home", "given")}
+    for arguments in (["eval", f"run={run}", "out=measured"], ["train", f"run={run}"]):
+        if arguments[0] == "train" and attack in (_policy_of_another_module, _deep_report, _long_report):
+            continue  # training reads neither
+        capsys.readouterr()
+        assert cli.main(arguments) == 2
+        streams = capsys.readouterr()
+        assert streams.out == ""
+        assert [line for line in streams.err.splitlines() if "koopdqn: error: " in line] == streams.err.splitlines()
+        assert "internal error" not in streams.err
+    assert {folder: contents(tmp_path / folder) for folder in ("home", "given")} == kept
