@@ -48,7 +48,6 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     with reading(f"checkpoint {path}"):
         other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
         float(artifact.about["seconds"])
-        questions_asked(artifact)
     if other:
         shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
         raise BadInputError(
@@ -59,8 +58,13 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
 
 
 def questions_asked(checkpoint: Artifact) -> int:
-    """Return how many questions had reached the oracle when a run's checkpoint was saved."""
-    return int(checkpoint.arrays["feedback/questions"])
+    """Return how many questions had reached the oracle when a run's checkpoint was saved.
+
+    Raises:
+        BadInputError: the checkpoint does not say.
+    """
+    with reading("the checkpoint"):
+        return int(checkpoint.arrays["feedback/questions"])
 
 
 def _differences(name: str, began: Any, now: Any) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 
 from koopdqn import console
-from koopdqn.artifact import read_artifact, reading
+from koopdqn.artifact import read_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.oracles import repair
 from koopdqn.oracles.journal import JOURNAL, FeedbackSummary, Record, Records, read_records
@@ -86,8 +86,7 @@ def _learned_answers(folder: Path) -> int:
     path = checkpoint_path(folder)
     if not path.exists():
         return 0
-    with reading(f"checkpoint {path}"):
-        return questions_asked(read_artifact(path, KIND))
+    return questions_asked(read_artifact(path, KIND))
 
 
 def _answers(title: str, records: Records) -> Table:
