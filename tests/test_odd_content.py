@@ -149,16 +149,21 @@ def test_a_sweep_that_fails_says_so_in_one_line(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.usefixtures("elsewhere")
-def test_the_record_of_an_earlier_run_is_not_written_over(capsys: pytest.CaptureFixture[str]) -> None:
-    record = Path("x/.hydra/overrides.yaml")
-    record.parent.mkdir(parents=True)
-    record.write_text("- seed=1\n")
-    Path("y").mkdir()
-    Path("y/.hydra").touch()
-    for name in ("x", "y"):
+def test_hidden_files_of_a_new_folder_lead_nowhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    (precious / "config.yaml").write_text("mine")
+    for name in ("a", "b", "c"):
+        Path(name).mkdir()
+    Path("a/.hydra").touch()
+    Path("b/.hydra").symlink_to(precious)
+    Path("c/.hydra").mkdir()
+    Path("c/.hydra/config.yaml").symlink_to(precious / "config.yaml")
+    for name, message in (("a", "whose .hydra is no folder"), ("b", "whose .hydra is no folder"), ("c", "a link")):
         assert cli.main(["demo", "demo.count=1", f"out={name}"]) == 2
-        assert f"must name a new or an empty folder, found '{name}', which holds .hydra" in capsys.readouterr().err
-    assert record.read_text() == "- seed=1\n"
+        assert message in capsys.readouterr().err
+    assert (precious / "config.yaml").read_text() == "mine"
+    assert len(list(precious.iterdir())) == 1
 
 
 def koopdqn(*arguments: str, redirected: str = "", **environment: str) -> "subprocess.CompletedProcess[str]":

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koopdqn.errors import BadInputError
-from koopdqn.run_folder import hold, release
+from koopdqn.run_folder import check_plain, hold, release
 
 RESOLVER = "new_folder"
 """Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
@@ -105,9 +105,12 @@ def _checked(path: object) -> str:
     if path is None or not text.strip():
         raise BadInputError(f"out: must name a folder, found {path!r}")
     require_new(Path(text))
-    # Hydra would write over what an earlier run was begun with.
-    if (Path(text) / ".hydra").exists():
-        raise BadInputError(f"out: must name a new or an empty folder, found {text!r}, which holds .hydra of a run")
+    record = Path(text) / ".hydra"
+    # Hydra writes there, through links too.
+    if record.is_symlink() or (record.exists() and not record.is_dir()):
+        raise BadInputError(f"out: must name a new or an empty folder, found {text!r}, whose .hydra is no folder")
+    if record.is_dir():
+        check_plain(record)
     require_writable(Path(text))
     # Before Hydra writes there: of two commands started at once the second must not touch the first one's record.
     if hold(Path(text)):
