@@ -1,22 +1,31 @@
 """Artifacts: arrays and one canonical JSON text of metadata in one file; nothing in it unpickles."""
 
 import hashlib
-import json
+import math
+import os
+import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from koopdqn.errors import BadInputError
-from koopdqn.files import atomic_path, canonical_json
-from koopdqn.settings import TARGET, Settings
+from koopdqn.errors import BadInputError, KoopdqnError
+from koopdqn.files import LARGEST_JSON, atomic_path, canonical_json, parse_json
+from koopdqn.settings import TARGET, Settings, shown
+from koopdqn.untrusted import check_targets
 
 FORMAT_VERSION = 1
 _KEY = "koopdqn"
 _SHA = "arrays_sha256"
+_MOST_ARRAYS = 1000
+# The record that ends a zip file, and how much before it another kind of it may stand.
+_ZIP_END = struct.Struct("<4s4H2LH")
+_ZIP_TAIL = _ZIP_END.size + 20
 
 
 @dataclass(frozen=True)
@@ -67,43 +76,111 @@ def write_artifact(path: Path, artifact: Artifact) -> None:
 
 
 def read_artifact(path: Path, kind: str) -> Artifact:
-    """Read an artifact.
+    """Read an artifact; its sizes are checked before anything is read.
 
     Raises:
-        BadInputError: the file is missing, truncated, of another kind or format, or was changed by hand.
+        BadInputError: the file is missing, truncated, of another kind or format, was changed by hand, is larger than
+            a quarter of this machine's memory, or names a class that it may not (:mod:`koopdqn.untrusted`).
     """
     what = f"{kind} file {path}"
     if not path.is_file():
         raise BadInputError(f"{what} must exist, found {'a folder' if path.is_dir() else 'nothing'} there")
-    try:
+    with reading(what):
+        size, most = path.stat().st_size, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4
+        if size > most:
+            raise BadInputError(
+                f"{what} must hold at most {most} bytes, a quarter of this machine's memory, found {size}"
+            )
         text, arrays = _read_npz(path) if path.suffix == ".npz" else _read_safetensors(path)
-        header = json.loads(text)
+        header = parse_json(text)
         found, version, sha, about = header["kind"], header["format_version"], header[_SHA], header["about"]
-    except BadInputError:
-        raise
-    # safetensors' own error derives from Exception alone.
-    except Exception as error:
-        raise BadInputError(f"{what} must be a whole artifact written by koopdqn, found: {error!r}") from error
+        if not isinstance(about, dict):
+            raise ValueError(f"about must be an object, found {shown(about)}")
     if found != kind:
-        raise BadInputError(f"{what} must be of kind {kind}, found kind {found}")
-    if version != FORMAT_VERSION:
-        raise BadInputError(f"{what} must have format version {FORMAT_VERSION}, found {version}")
+        raise BadInputError(f"{what} must be of kind {kind}, found kind {_brief(found)}")
+    if version is True or version != FORMAT_VERSION:
+        raise BadInputError(f"{what} must have format version {FORMAT_VERSION}, found {_brief(version)}")
     if sha != arrays_digest(arrays):
         raise BadInputError(f"{what} must hold the arrays it was written with, found others: it was changed by hand")
+    check_targets(about, what)
     return Artifact(kind, arrays, about)
 
 
+@contextmanager
+def reading(what: str) -> Iterator[None]:
+    """Turn whatever a block raises over a file's content into one line that names the file.
+
+    Args:
+        what: names the file, for the message.
+
+    Raises:
+        BadInputError: the block raised something that is no error of koopdqn's own.
+    """
+    try:
+        yield
+    except KoopdqnError:
+        raise
+    except OSError as error:
+        raise BadInputError(f"{what} must be readable, the system says: {error.strerror or error}") from error
+    # safetensors' own error derives from Exception alone, and odd content raises anything
+    except Exception as error:
+        raise BadInputError(f"{what} must be a whole artifact written by koopdqn, found: {shown(error)}") from error
+
+
+def _brief(value: Any) -> str:
+    return value if isinstance(value, str) and value.isidentifier() and len(value) < 40 else shown(value)
+
+
 def _read_npz(path: Path) -> tuple[str, dict[str, np.ndarray]]:
-    if not zipfile.is_zipfile(path):
-        raise BadInputError(f"{path} must be an npz file, found something else or a truncated one")
-    with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
+    _check_directory(path)
+    arrays = {}
+    with zipfile.ZipFile(path) as archive:
+        for entry in archive.infolist():
+            # As np.savez writes them, so that nothing read is larger than the file.
+            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > path.stat().st_size:
+                raise ValueError(f"arrays must not be compressed, found {entry.filename!r} so")
+            name = entry.filename.removesuffix(".npy")
+            if name in arrays:
+                raise ValueError(f"names must differ, found two arrays {name!r}")
+            arrays[name] = _array(archive.read(entry))
     return str(arrays.pop(_KEY)), arrays
+
+
+def _check_directory(path: Path) -> None:
+    """Raise unless a zip file ends as np.savez ends it, with a directory of few entries."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - _ZIP_TAIL, 0))
+        tail = file.read()
+    end = tail[-_ZIP_END.size :]
+    if len(end) < _ZIP_END.size or not end.startswith(b"PK\5\6"):
+        raise BadInputError(f"{path} must be an npz file, found something else or a truncated one")
+    _, _, _, here, total, size, _, comment = _ZIP_END.unpack(end)
+    if b"PK\6\7" in tail or comment or not here == total <= _MOST_ARRAYS or size > _MOST_ARRAYS * 1000:
+        raise ValueError(f"must hold at most {_MOST_ARRAYS} arrays and no comment, found {total} and {comment} bytes")
+
+
+def _array(content: bytes) -> np.ndarray:
+    """Return the array of a npy file, of numbers, booleans or text, once its size is known to be the file's."""
+    file = BytesIO(content)
+    if np.lib.format.read_magic(file) == (1, 0):
+        shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
+    else:
+        shape, fortran, dtype = np.lib.format.read_array_header_2_0(file)
+    begin = file.tell()
+    if dtype.hasobject or dtype.kind not in "biufU" or not dtype.itemsize or fortran:
+        raise ValueError(f"arrays must be of numbers, booleans or text, row by row, found {dtype}")
+    if math.prod(shape) * dtype.itemsize != len(content) - begin:
+        raise ValueError(f"an array must have the bytes that its shape needs, found {shape} and {len(content) - begin}")
+    return np.frombuffer(content, dtype, offset=begin).reshape(shape).copy()
 
 
 def _read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
     from safetensors import safe_open
 
+    with path.open("rb") as head:
+        length = int.from_bytes(head.read(8), "little")
+    if length > LARGEST_JSON:
+        raise ValueError(f"the header must hold at most {LARGEST_JSON} bytes, found {length}")
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata() or {}
         return metadata[_KEY], {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)

@@ -1,29 +1,70 @@
 """The two terminals: results on standard output, messages and progress on standard error."""
 
 import time
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
+from rich.text import Text
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
     from rich.table import Table
 
 
+# Control characters, those that turn the direction of a text or cannot be seen, and other ends of lines.
+_UNSEEN: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
+# Between letters of some scripts, and in emoji.
+_JOINERS: Final = "\u200c\u200d"
+
+
+def visible(text: str) -> str:
+    """Return a text with every character written out that a terminal would obey rather than show, but for line ends."""
+    if text.isprintable():
+        return text
+    return "".join(
+        each
+        if each in "\n\t" or each in _JOINERS or unicodedata.category(each) not in _UNSEEN
+        else each.encode("unicode_escape").decode()
+        for each in text
+    )
+
+
+class LiteralConsole(Console):
+    """A console that shows names of users as they are: it knows no markup, and no control characters of a text."""
+
+    def __init__(self, **options: Any) -> None:
+        """Make one; ``options`` are Rich's."""
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return a text as Rich shows it."""
+        return super().render_str(visible(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield what a renderable is made of; only Rich's own control sequences remain such."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield Segment(visible(segment.text), segment.style)
+
+
 @cache
 def out() -> Console:
     """Return the console of standard output: results for people."""
-    return Console(highlight=False)
+    return LiteralConsole()
 
 
 @cache
 def err() -> Console:
     """Return the console of standard error: messages, progress and questions."""
-    return Console(stderr=True, highlight=False)
+    return LiteralConsole(stderr=True)
 
 
 def say(line: RenderableType) -> None:
@@ -120,13 +161,11 @@ def table(
 
 
 def _tagged(tag: str, style: str, message: str) -> None:
-    from rich.text import Text
-
     err().print(Text.assemble("koopdqn: ", (f"{tag}:", style), f" {_one_line(message)}"), soft_wrap=True)
 
 
 def _one_line(message: str) -> str:
-    return " ".join(message.split())
+    return visible(" ".join(message.split()))
 
 
 def shown_path(path: Path) -> str:

@@ -20,6 +20,11 @@ class DivergedError(WorkFailedError, ValueError):
 OUT_OF_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ENOMEM, errno.EMFILE, errno.ENFILE)
 """Errors of the operating system by which good input comes to nothing."""
 
+LARGEST_JSON = 2**26
+"""The most bytes that a JSON text may hold."""
+DEEPEST_JSON = 64
+"""How deep it may be nested."""
+
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
@@ -32,6 +37,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        # What lies there is left of a process that was killed, or a link that leads elsewhere.
+        temporary.unlink(missing_ok=True)
         yield temporary
         with temporary.open("rb") as file:
             os.fsync(file.fileno())
@@ -85,14 +92,41 @@ def digest(content: Any) -> str:
     return hashlib.sha256(canonical_json(content).encode()).hexdigest()
 
 
+def parse_json(text: str | bytes) -> Any:
+    """Return the content of a JSON text.
+
+    Raises:
+        ValueError: it is no JSON, is too long or nested too deep, or holds NaN, infinity or a number beyond them.
+    """
+    if len(text) > LARGEST_JSON:
+        raise ValueError(f"must hold at most {LARGEST_JSON} bytes, found {len(text)}")
+    try:
+        content = json.loads(text)
+    except RecursionError as error:
+        raise ValueError(f"must be nested at most {DEEPEST_JSON} deep, found deeper") from error
+    waiting = [(content, 1)]
+    while waiting:
+        node, depth = waiting.pop()
+        if depth > DEEPEST_JSON:
+            raise ValueError(f"must be nested at most {DEEPEST_JSON} deep, found deeper")
+        for value in node.values() if isinstance(node, dict) else node if isinstance(node, list) else [node]:
+            if isinstance(value, dict | list):
+                waiting.append((value, depth + 1))
+            elif isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"numbers must be finite, found {value}")
+    return content
+
+
 def read_json(path: Path, what: str) -> Any:
     """Read a JSON file.
 
     Raises:
-        BadInputError: the file is missing or is no JSON; ``what`` names it for the user.
+        BadInputError: the file is missing, too large or no JSON (:func:`parse_json`); ``what`` names it for the user.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        if path.stat().st_size > LARGEST_JSON:
+            raise ValueError(f"must hold at most {LARGEST_JSON} bytes, found {path.stat().st_size}")
+        return parse_json(path.read_bytes())
     except OSError as error:
         raise BadInputError(f"{what} must be a readable file, found {path}: {error.strerror or error}") from error
     except ValueError as error:

@@ -34,12 +34,24 @@ def assets_dir() -> Path:
     return _folder("assets", marker=".")
 
 
+def check_asset(name: str) -> None:
+    """Raise unless the name of an asset leads nowhere but below assets/.
+
+    Raises:
+        BadInputError: it is absolute, or leads upwards.
+    """
+    if Path(name).is_absolute() or ".." in Path(name).parts or not name.isprintable():
+        raise BadInputError(f"asset: must be the name of a file below assets/, found {name!r}")
+
+
 def asset_path(name: str) -> Path:
     """Return the absolute path of the asset ``name``, given relative to assets/ (``"ur5/ur5.xml"``).
 
     Raises:
-        BadInputError: there is no such asset; the message lists those of the nearest existing folder.
+        BadInputError: the name leads out of assets/, or there is no such asset; the message lists those of the
+            nearest existing folder.
     """
+    check_asset(name)
     base = assets_dir()
     path = base / name
     if not path.is_file():

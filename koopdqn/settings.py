@@ -10,6 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic_core import ErrorDetails
 
 from koopdqn.errors import BadInputError
+from koopdqn.untrusted import TARGET as TARGET
 
 _OWN_CHECK = ("value_error", "assertion_error")
 _WORDS = (
@@ -125,8 +126,6 @@ def shown(value: object) -> str:
 T = TypeVar("T")
 Model = TypeVar("Model", bound=BaseModel)
 
-TARGET = "target"
-
 
 class Settings(BaseModel):
     """Base of every settings class: immutable, no unknown keys, no coercion, no NaN or infinity."""
@@ -160,6 +159,13 @@ def _to_sources(value: object) -> object:
     return tuple(values)
 
 
+def _to_modules(value: object) -> object:
+    values = value if isinstance(value, list | tuple) else [value]
+    if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
+        raise ValueError("must be the dotted name of a module, or a list of them in brackets")
+    return tuple(values)
+
+
 Positive = Annotated[float, Field(gt=0)]
 """A finite number above 0."""
 NonNegative = Annotated[float, Field(ge=0)]
@@ -190,6 +196,8 @@ Vector7 = Annotated[
 """Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
 Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("a list of numbers"))]
 """Any number of numbers, as a YAML list."""
+Modules = Annotated[tuple[Name, ...], BeforeValidator(_to_modules)]
+"""Dotted names of modules, one as a text or several as a YAML list."""
 Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("a list of whole numbers"))]
 """Any number of whole numbers above 0, as a YAML list (layer widths)."""
 Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("a list of texts"))]

@@ -12,6 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from demos_file import unsealed
 from omegaconf import OmegaConf
 from small_run import SMALL
 
@@ -93,7 +94,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
         ("task.step_m=0.003", "step_m must be over position_tolerance_m"),
         ("task.waypoints=[[1,2,3]]", "task.waypoints: must have at least 2 items"),
         ("task.waypoints=[[5,5,5],[6,6,6]]", "the start at [5.0, 5.0, 5.0] m must be reachable without collision"),
-        ("task.name=../x", "task.name: must match pattern"),
+        ("task.name=../x", "task.name: must be a name that a folder can have"),
         ("task.target=os.system", "os has no class 'system'; valid: PathLike, stat_result"),
         ("task.target=nowhere.Task", "No module named 'nowhere'); the folder it lies in must be on PYTHONPATH"),
         (
@@ -162,6 +163,7 @@ def damaged(made: Path, tmp_path: Path, damage: Callable[[h5py.File], None]) -> 
     shutil.copy(made / "run" / "demos.hdf5", path)
     with h5py.File(path, "r+") as file:
         damage(file)
+    unsealed(path)
     return path
 
 
@@ -303,12 +305,12 @@ def test_a_damaged_checkpoint_is_not_gone_on_from_and_nothing_is_touched(
     ("record", "expected"),
     [
         ("[", "cannot be read"),
-        ("a: 1", "must be a list of overrides, found {'a': 1}"),
+        ("a: 1", "must be a list of at most 1000 overrides, found 'a: 1'"),
         ("", "must hold what it was begun with, found it stopped before it had begun"),
-        ("- 5", "must be a list of overrides, found [5]"),
-        ("- seed", "must be a list of overrides, found ['seed']"),
+        ("- 5", "must be a list of overrides key=value of koopdqn's keys, found '5'"),
+        ("- seed", "must be a list of overrides key=value of koopdqn's keys, found 'seed'"),
         ("- command=demo", "must name a run of 'train', found one of 'demo'"),
-        ("- depth=1", "unknown key depth; valid: agent"),
+        ("- depth=1", "unknown key 'depth'; valid: agent"),
     ],
 )
 def test_a_damaged_record_of_overrides_is_refused(

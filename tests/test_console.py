@@ -1,8 +1,17 @@
 import io
+import os
+import pty
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
+from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.table import Table
 
 from koopdqn import console
 
@@ -69,3 +78,66 @@ def test_colour_follows_no_color() -> None:
     with terminal(NO_COLOR="1") as shown:
         console.fail("plain")
         assert "31m" not in shown.getvalue()
+
+
+NAMES = "an[bold red]na[/] :smile: \x1b[31mred\x1b]0;title\x07\u202egnp.exe\r\x9b2J"
+
+
+def test_a_name_is_shown_and_not_obeyed_wherever_it_stands(capsys: pytest.CaptureFixture[str]) -> None:
+    table = Table(title=NAMES)
+    table.add_column(NAMES, no_wrap=True)
+    table.add_row(NAMES)
+    console.out.cache_clear()
+    console.err.cache_clear()
+    console.say(NAMES)
+    console.out().width = 200
+    console.say(table)
+    console.warn(NAMES)
+    console.note(NAMES)
+    with console.stage(NAMES) as stage:
+        stage.advance(note=NAMES)
+    streams = capsys.readouterr()
+    assert streams.out.count("an[bold red]na[/] :smile: \\x1b[31mred") == 4
+    assert streams.err.count("an[bold red]na[/] :smile: \\x1b[31mred\\x1b]0;title\\x07\\u202egnp.exe") == 5
+    assert not any(sign in streams.out + streams.err for sign in "\x1b\x07\u202e\r\x9b")
+
+
+@given(st.text())
+def test_what_is_shown_of_a_text_can_be_shown(text: str) -> None:
+    shown = console.visible(text)
+    assert console.visible(shown) == shown
+    assert not any(sign in shown for sign in "\x1b\x07\b\r\x9b\u202e\u2028")
+    if text.isprintable():
+        assert shown == text
+
+
+def test_a_closed_terminal_ends_with_status_130_and_under_nohup_not_at_all(tmp_path: Path) -> None:
+    code = (
+        "import sys, time\n"
+        "from koopdqn.app import cli\n"
+        "def work(*arguments, **options):\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(float(sys.argv[1]))\n"
+        "    return 0\n"
+        "cli._compose_and_run = work\n"
+        "sys.exit(cli.main(['demo']))\n"
+    )
+    path = str(Path(console.__file__).resolve().parent.parent)
+    for ignored, seconds, status in ((False, "60", 130), (True, "3", 0)):
+        master, slave = pty.openpty()
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, seconds],
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            env={**os.environ, "PYTHONPATH": path},
+            start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN) if ignored else None,  # noqa: B023
+        )
+        os.close(slave)
+        said = b""
+        while b"ready\r\n" not in said:
+            said += os.read(master, 1000)
+        os.close(master)
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(60) == status

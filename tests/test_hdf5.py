@@ -5,6 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from demos_file import unsealed
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -84,7 +85,10 @@ def test_a_truncated_file_is_refused(tmp_path: Path, kept: float) -> None:
     path = tmp_path / "demos.hdf5"
     write_hdf5(path, random_set(0, 3))
     path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
-    refused(path, "must be HDF5 in robomimic's layout")
+    refused(path, "must hold the bytes it was written with" if kept else "must be HDF5 in robomimic's layout")
+    if kept:
+        unsealed(path)
+        refused(path, "must be HDF5 in robomimic's layout")
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
@@ -150,7 +154,7 @@ def _not_finite(file: h5py.File) -> None:
         (_no_demonstrations, "at least one demonstration"),
         (_odd_name, "first"),
         (_wrong_count, r"demo_0: eef_pos and eef_quat must have shapes \(77, 3\)"),
-        (_text_for_numbers, "could not convert"),
+        (_text_for_numbers, "must hold numbers"),
         (_broken_json, "must be HDF5 in robomimic's layout"),
         (_env_args_is_a_list, "must be HDF5 in robomimic's layout"),
         (_not_finite, "must be finite"),
@@ -163,4 +167,6 @@ def test_a_damaged_file_is_refused_in_one_line(
     write_hdf5(path, random_set(0, 3))
     with h5py.File(path, "r+") as file:
         damage(file)
+    refused(path, "must hold the bytes it was written with")
+    unsealed(path)
     refused(path, message)

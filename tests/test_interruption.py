@@ -66,6 +66,7 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
         ("fit.json", signal.SIGKILL, "intent.npz"),
         ("checkpoints/latest.safetensors", signal.SIGINT, "policy.safetensors"),
         ("checkpoints/latest.safetensors", signal.SIGKILL, "policy.safetensors"),
+        ("checkpoints/latest.safetensors", signal.SIGHUP, "policy.safetensors"),
         ("train.json", signal.SIGTERM, "train.png"),
     ],
 )

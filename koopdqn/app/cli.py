@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from koopdqn import __version__, console
-from koopdqn.app.exit_status import guard
+from koopdqn.app.exit_status import guard, let_go_of_closed_streams, open_missing_streams
 from koopdqn.app.feedback import feedback_app
 from koopdqn.errors import BadInputError
 
@@ -210,17 +210,24 @@ def _compose_and_run(name: str, hydra: Mapping[str, Any], overrides: Sequence[st
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0 done; 1 the work itself failed; 2 bad input, told in one line; 130 interrupted (Ctrl-C or SIGTERM).
+    0 done; 1 the work itself failed; 2 bad input, told in one line; 130 interrupted (Ctrl-C, SIGTERM, SIGHUP).
 
     Args:
         arguments: what follows ``koopdqn`` on the command line; None reads ``sys.argv``.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    missing = open_missing_streams()
     for stream in (sys.stdout, sys.stderr):
         # a terminal that cannot show ° or ρ must not end a run
         with contextlib.suppress(AttributeError, ValueError):
             stream.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]  # absent on replaced streams
-    return guard(lambda: _run_app(given), debug="--debug" in given)
+    try:
+        if "stdout" in missing and "--json" in given:
+            console.fail("--json: standard output must be open, found it closed")
+            return 2
+        return guard(lambda: _run_app(given), debug="--debug" in given)
+    finally:
+        let_go_of_closed_streams()
 
 
 def _run_app(arguments: Sequence[str]) -> int:

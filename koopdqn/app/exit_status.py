@@ -12,7 +12,36 @@ from koopdqn import console
 from koopdqn.errors import KoopdqnError, WorkFailedError
 
 INTERRUPTED = 130
-"""Exit status of a command ended by Ctrl-C or SIGTERM."""
+"""Exit status of a command ended by Ctrl-C, SIGTERM, or a terminal that was closed (SIGHUP)."""
+
+
+def open_missing_streams() -> set[str]:
+    """Point standard streams that were closed before this process began at nothing, and return their names.
+
+    Otherwise the next file that is opened takes the place of one, and gets what is printed.
+    """
+    missing = {name for name in ("stdin", "stdout", "stderr") if getattr(sys, name) is None}
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if name in missing:
+            nothing = os.open(os.devnull, os.O_RDWR)
+            if nothing != number:
+                os.dup2(nothing, number)
+                os.close(nothing)
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
+    return missing
+
+
+def let_go_of_closed_streams() -> None:
+    """Point standard output and error at nothing where their other end is gone.
+
+    The interpreter flushes both once more when it ends, and would end with a status of its own.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except (OSError, ValueError, AttributeError):
+            with contextlib.suppress(OSError, ValueError, AttributeError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def guard(work: Callable[[], int], *, debug: bool) -> int:
@@ -38,7 +67,7 @@ def guard(work: Callable[[], int], *, debug: bool) -> int:
 
 
 class _Interruption(BaseException):
-    """Ctrl-C or SIGTERM.
+    """Ctrl-C, SIGTERM or SIGHUP.
 
     No KeyboardInterrupt: where one passes through code that an extension module runs, Python kills itself with
     SIGINT in the end, even though the exception was caught.
@@ -46,7 +75,9 @@ class _Interruption(BaseException):
 
 
 def _interrupted() -> int:
-    console.note("koopdqn: interrupted; everything so far is kept")
+    # The terminal may be gone.
+    with contextlib.suppress(OSError, ValueError):
+        console.note("koopdqn: interrupted; everything so far is kept")
     return INTERRUPTED
 
 
@@ -71,7 +102,7 @@ def _report(error: Exception, *, debug: bool) -> int:
 
 @contextlib.contextmanager
 def _interruptible(received: list[int]) -> Iterator[None]:
-    """Let SIGINT and SIGTERM end the work, and note them. Only the main thread may set handlers."""
+    """Let SIGINT, SIGTERM and SIGHUP end the work, and note them. Only the main thread may set handlers."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         received.append(number)
@@ -80,7 +111,11 @@ def _interruptible(received: list[int]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    # Under nohup a run outlives its terminal.
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, interrupt) for number in numbers}
     try:
         yield
     finally:

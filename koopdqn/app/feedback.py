@@ -63,11 +63,16 @@ def journal_path(given: Path) -> Path:
     """Return the journal that a file or a run folder names.
 
     Raises:
-        BadInputError: there is none.
+        BadInputError: there is none, or it is reached by a link within the folder.
     """
     from koopdqn.oracles.journal import JOURNAL
+    from koopdqn.run_folder import check_plain
 
+    if given.is_dir():
+        check_plain(given)
     path = given / JOURNAL if given.is_dir() else given
+    if path.is_symlink():
+        raise BadInputError(f"journal: must be a file, found a link: {path}")
     if not path.is_file():
         raise BadInputError(f"journal: must name a journal or a run folder that holds {JOURNAL}, found {str(given)!r}")
     return path
@@ -96,10 +101,12 @@ def edit(journal: Path, number: int, answer: str, teacher: str | None, *, drop_l
     """Change an answer, say what it is now and what that means for the run, and return 0."""
     from koopdqn.oracles import repair
     from koopdqn.oracles.journal import JOURNAL, read_records
+    from koopdqn.run_folder import locked
 
     path = journal_path(journal)
-    learned = _learned_answers(path.parent) if path.name == JOURNAL else 0
-    item = repair.edit(path, number, answer, teacher, learned, drop_later=drop_later)
+    with locked(path.parent):
+        learned = _learned_answers(path.parent) if path.name == JOURNAL else 0
+        item = repair.edit(path, number, answer, teacher, learned, drop_later=drop_later)
     dropped = "; later answers no longer count" if drop_later else ""
     console.say(f"answer {number} is now {_verdict(item)}, by {item.line.source}{dropped}")
     if number < learned:

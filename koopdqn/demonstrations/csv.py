@@ -1,6 +1,8 @@
 """Demonstration files: CSV with one sample a row, read with clear errors and written."""
 
 import csv
+import re
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -21,41 +23,59 @@ _SEPARATORS = (",", ";", "\t")
 _COMMENT = "#"
 
 
+# Reading takes some ten times as much memory.
+_LARGEST = 2**27
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
 @dataclass(frozen=True)
 class Table:
     """The content of a CSV file.
 
     Attributes:
         path: the file.
-        cells: texts of each column, by its name in lower case.
+        names: of the columns, in lower case.
+        rows: the text of each row, (N,).
         lines: (N,) line of each row in the file, from 1.
+        separator: what stands between cells; None for any blanks.
+        quoted: whether quotes may hold separators.
     """
 
     path: Path
-    cells: dict[str, list[str]]
+    names: list[str]
+    rows: list[str]
     lines: np.ndarray
+    separator: str | None
+    quoted: bool
 
     def __len__(self) -> int:
         """Return the number of rows below the header."""
         return len(self.lines)
 
-    def numbers(self, name: str) -> Array:
-        """Return a column as numbers (N,).
+    def column(self, name: str) -> list[str]:
+        """Return a column's texts (N,), without blanks around them."""
+        place = self.names.index(name)
+        if self.quoted:
+            return [_split(row, self.separator)[place].strip() for row in self.rows]
+        return [row.split(self.separator, place + 1)[place].strip() for row in self.rows]
+
+    def numbers(self, names: Sequence[str]) -> Array:
+        """Return columns as numbers (N, columns).
 
         Raises:
             BadInputError: a cell is no finite number.
         """
-        column = self.cells[name]
+        places = [self.names.index(name) for name in names]
         try:
-            values = np.array([float(cell) for cell in column])
+            values = np.loadtxt(
+                self.rows, delimiter=self.separator, usecols=places, comments=None, quotechar='"', ndmin=2
+            )
         except ValueError:
-            values = np.array([_number(cell) for cell in column])
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if len(wrong):
-            row = int(wrong[0])
+            values = np.array([[_number(cell) for cell in self.column(name)] for name in names]).T
+        for column, row in np.argwhere(~np.isfinite(values.T))[:1]:
             raise BadInputError(
-                f"demonstrations {self.path}: line {self.lines[row]}: {name} must be a finite number,"
-                f" found {shown(column[row])}"
+                f"demonstrations {self.path}: line {self.lines[row]}: {names[column]} must be a finite number,"
+                f" found {shown(self.column(names[column])[row])}"
             )
         return values
 
@@ -68,38 +88,49 @@ def read_table(path: Path) -> Table:
     semicolons, tabs or blanks separate, a decimal comma is read as a point.
 
     Raises:
-        BadInputError: the file is missing, is no text, has no header, a name occurs twice, or a row has another
-            number of cells than the header.
+        BadInputError: the file is missing, is too large or no text, has no header, a name occurs twice, or a row has
+            another number of cells than the header.
     """
-    rows = _rows(path)
-    if not rows:
+    text = _text(path)
+    quoted = '"' in text
+    everything = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    said = [i for i, line in enumerate(everything) if line.strip(" \t,;") and not line.lstrip().startswith(_COMMENT)]
+    if not said:
         raise BadInputError(f"demonstrations {path}: must hold a header line and samples, found an empty file")
-    (_, header), *body = rows
+    header, *rows = (everything[index] for index in said)
+    lines = np.array(said[1:], dtype=int) + 1
     separator = next((each for each in _SEPARATORS if each in header), None)
-    names = [name.lower() for name in _split(header, separator)]
+    if separator != ",":
+        # One within a cell is a decimal comma.
+        rows = [row.replace(",", ".") for row in rows]
+    try:
+        names = [name.strip().lower() for name in _split(header, separator)]
+        if quoted or separator is None:
+            counts = np.array([len(_split(row, separator)) for row in rows], dtype=int)
+        else:
+            counts = np.array([row.count(separator) for row in rows], dtype=int) + 1
+    except csv.Error as error:
+        raise BadInputError(f"demonstrations {path}: must be CSV text, found: {error}") from error
     twice = sorted({name for name in names if name and names.count(name) > 1})
     if twice:
         raise BadInputError(f"demonstrations {path}: every column must have its own name, found two named {twice[0]}")
-    columns: list[list[str]] = [[] for _ in names]
-    for line, text in body:
-        cells = _split(text, separator)
+    for index in np.flatnonzero(counts != len(names)):
         # Some loggers end every row with a separator.
-        if len(cells) == len(names) + 1 and not cells[-1]:
-            cells = cells[:-1]
-        if len(cells) != len(names):
+        if counts[index] != len(names) + 1 or _split(rows[index], separator)[-1].strip():
             raise BadInputError(
-                f"demonstrations {path}: line {line} must have {len(names)} cells as the header, found {len(cells)}"
+                f"demonstrations {path}: line {lines[index]} must have {len(names)} cells as the header,"
+                f" found {counts[index]}"
             )
-        for column, cell in zip(columns, cells, strict=True):
-            column.append(cell if separator == "," else cell.replace(",", "."))
-    return Table(path, dict(zip(names, columns, strict=True)), np.array([line for line, _ in body], dtype=int))
+    return Table(path, names, rows, lines, separator, quoted)
 
 
-def _rows(path: Path) -> list[tuple[int, str]]:
-    """Return the lines that say something, each with its number from 1."""
+def _text(path: Path) -> str:
     if not path.is_file():
         found = "a folder" if path.is_dir() else "nothing"
         raise BadInputError(f"demonstrations must be a file, found {found} at {path}")
+    size = path.stat().st_size
+    if size > _LARGEST:
+        raise BadInputError(f"demonstrations {path}: must hold at most {_LARGEST} bytes, found {size}")
     content = path.read_bytes()
     # Spreadsheets write UTF-16 with a byte order mark.
     encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
@@ -109,23 +140,17 @@ def _rows(path: Path) -> list[tuple[int, str]]:
         raise BadInputError(f"demonstrations {path}: must be CSV text in UTF-8, found another encoding") from error
     if "\0" in text:
         raise BadInputError(f"demonstrations {path}: must be CSV text in UTF-8, found binary content")
-    numbered = enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
-    return [
-        (number, line) for number, line in numbered if line.strip(" \t,;") and not line.lstrip().startswith(_COMMENT)
-    ]
+    return text
 
 
 def _split(line: str, separator: str | None) -> list[str]:
-    if separator is None:
-        return line.split()
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+    if separator is not None and '"' in line:
+        return next(csv.reader([line], delimiter=separator))
+    return line.split(separator)
 
 
 def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return float("nan")
+    return float(cell) if _NUMBER.fullmatch(cell) else float("nan")
 
 
 Rotation = Literal["quaternion", "vector", "angles"]
@@ -174,17 +199,16 @@ def read_csv(path: Path) -> list[Demonstration]:
     if not len(table):
         raise BadInputError(f"demonstrations {path}: must hold at least 2 samples below the header, found none")
     rotation = _rotation_of(table)
-    position = np.stack([table.numbers(name) for name in _POSITION], axis=1)
-    turned = np.stack([table.numbers(name) for name in ROTATIONS[rotation]], axis=1)
-    times = table.numbers(_TIME)
+    numbers = table.numbers((*_POSITION, *ROTATIONS[rotation], _TIME))
+    position, turned, times = numbers[:, :3], numbers[:, 3:-1], numbers[:, -1]
     _check_units(table, position, turned, rotation)
     poses = np.concatenate([position, _QUATERNIONS[rotation](turned)], axis=1)
-    names = table.cells.get(_DEMONSTRATION, ["0"] * len(table))
-    found = []
-    for name in dict.fromkeys(names):
-        rows = np.array([index for index, each in enumerate(names) if each == name])
-        found.append(_demonstration(table, name, rows, times[rows], poses[rows]))
-    return found
+    if _DEMONSTRATION not in table.names:
+        return [_demonstration(table, "0", np.arange(len(table)), times, poses)]
+    rows: defaultdict[str, list[int]] = defaultdict(list)
+    for index, name in enumerate(table.column(_DEMONSTRATION)):
+        rows[name].append(index)
+    return [_demonstration(table, name, np.array(own), times[own], poses[own]) for name, own in rows.items()]
 
 
 def write_csv(path: Path, demonstrations: Sequence[Demonstration], rotation: Rotation = "quaternion") -> None:
@@ -219,11 +243,11 @@ _COLUMNS: Final[dict[Rotation, Callable[[Array], Array]]] = {
 
 
 def _rotation_of(table: Table) -> Rotation:
-    names = set(table.cells)
+    names = set(table.names)
     missing = [name for name in (_TIME, *_POSITION) if name not in names]
     choices = " or ".join(" ".join(columns) for columns in ROTATIONS.values())
     given = [rotation for rotation, columns in ROTATIONS.items() if names >= set(columns)]
-    found = ", ".join(name or "''" for name in table.cells)
+    found = ", ".join(name or "''" for name in table.names)
     if missing:
         raise BadInputError(
             f"demonstrations {table.path}: must have the columns t, x, y, z and {choices}; missing:"
@@ -261,14 +285,14 @@ def _check_units(table: Table, position: Array, turned: Array, rotation: Rotatio
 
 
 def _demonstration(table: Table, name: str, rows: np.ndarray, times: Array, poses: Array) -> Demonstration:
-    where = f"demonstrations {table.path}: " + (f"demo {name}: " if _DEMONSTRATION in table.cells else "")
+    where = f"demonstrations {table.path}: " + (f"demo {name}: " if _DEMONSTRATION in table.names else "")
     if len(rows) < 2:
         raise BadInputError(f"{where}there must be at least 2 samples, found {len(rows)}")
     step = np.diff(times)
     back = np.flatnonzero(step < 0)
     if len(back):
         row = back[0] + 1
-        hint = "" if _DEMONSTRATION in table.cells else "; a column demo tells several demonstrations apart"
+        hint = "" if _DEMONSTRATION in table.names else "; a column demo tells several demonstrations apart"
         raise BadInputError(
             f"{where}line {table.lines[rows[row]]}: t must increase,"
             f" found {times[row]:g} after {times[row - 1]:g}{hint}"

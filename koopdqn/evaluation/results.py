@@ -11,6 +11,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import read_json
 from koopdqn.rl.schema import TrainReport
+from koopdqn.run_folder import check_plain
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
 
@@ -47,6 +48,7 @@ def find_evaluations(files: Sequence[Path]) -> tuple[Evaluations, dict[Path, str
     found, unusable = [], {}
     for file in files:
         try:
+            check_plain(file.parent)
             found.append((file, read_report(file, "evaluation", EvaluationFile)))
         except BadInputError as error:
             unusable[file] = str(error)

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koopdqn.artifact import Artifact, arrays_digest, check_task, described, read_artifact, write_artifact
+import numpy as np
+
+from koopdqn.artifact import Artifact, arrays_digest, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.intent.correction import restored
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
@@ -58,9 +60,21 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
     artifact = read_artifact(path, KIND)
     about, arrays = artifact.about, artifact.arrays
     check_task(f"intent {path}", about.get("task"), task)
-    settings = load_settings(about["intent"], IntentSettings, "intent")
-    trust = load_settings(about["trust"], TrustSettings, "trust")
-    own = {name: values for name, values in arrays.items() if not name.startswith(_TRUST)}
-    drawn = {name.removeprefix(_TRUST): values for name, values in arrays.items() if name.startswith(_TRUST)}
-    model, domain = restored(own, settings), TrustDomain.restore(drawn, trust)
-    return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))
+    with reading(f"intent {path}"):
+        settings = load_settings(about["intent"], IntentSettings, "intent")
+        trust = load_settings(about["trust"], TrustSettings, "trust")
+        own = {name: values for name, values in arrays.items() if not name.startswith(_TRUST)}
+        drawn = {name.removeprefix(_TRUST): values for name, values in arrays.items() if name.startswith(_TRUST)}
+        model, domain = restored(own, settings), TrustDomain.restore(drawn, trust)
+        _try_out(model, domain, task)
+        return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))
+
+
+def _try_out(model: IntentModel, domain: TrustDomain, task: Task) -> None:
+    """Predict and trust once: arrays of odd shapes fail here, where the file is known, and not in the work."""
+    start = task.nominal_start[None]
+    predicted = model.intended(start, start)
+    if predicted.shape != start.shape or not np.isfinite(predicted).all():
+        raise ValueError(f"its prediction must be a pose of finite numbers, found {predicted.tolist()}")
+    domain.covers(start, np.zeros(1, dtype=int))
+    domain.depth(start)

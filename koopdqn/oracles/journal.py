@@ -2,14 +2,18 @@
 
 import json
 import os
+from collections import defaultdict
 from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import IO, Annotated, Any, Final, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
 from koopdqn.errors import BadInputError
+from koopdqn.files import LARGEST_JSON, parse_json
 from koopdqn.oracles.base import Answer, Earlier
+from koopdqn.run_folder import open_own
 from koopdqn.schema import ReportModel, flaw
 from koopdqn.settings import Name, NonNegative, NonNegativeInt
 from koopdqn.tasks.actions import COUNT
@@ -141,39 +145,16 @@ class Records:
         """The answers that an undo may withdraw: a skipped question taught nothing, so there is nothing to undo."""
         return [item for item in self.standing if item.line.right is not None]
 
-    def add(self, line: Line) -> None:
-        """Take in the next line, other than a drop; ValueError if it is out of order or of no answer."""
-        count = len(self.items)
-        if isinstance(line, AnswerLine):
-            if line.number != count:
-                raise ValueError(f"answers must be numbered in order, so {count} here, found {line.number}")
-            self.items.append(Record(line, self.pending))
-            self.pending = 0
-            return
-        if line.number >= count:
-            raise ValueError(f"number must be that of an answer before it, 0 to {count - 1}, found {line.number}")
-        item = self.items[line.number]
-        if isinstance(line, UndoLine):
-            latest = self.withdrawable[-1].line.number if self.withdrawable else None
-            if line.number != latest:
-                raise ValueError(f"an undo must withdraw the latest answer that stands, {latest}, found {line.number}")
-            item = replace(item, withdrawn=True)
-            self.pending += 1
-        elif isinstance(line, EditLine):
-            answer = item.line.model_copy(update={key: getattr(line, key) for key in ("right", "better", "source")})
-            item = replace(item, line=answer, edited=True, learned=item.learned or line.learned)
-        elif isinstance(line, OpinionLine):
-            item = replace(item, opinions=(*item.opinions, line))
-        self.items[line.number] = item
-
 
 def read_lines(path: Path) -> list[dict[str, Any]]:
     """Return the lines of a journal as JSON objects; a last line cut off by a crash is left out.
 
     Raises:
-        BadInputError: the file cannot be read, or a line before the last is no JSON object.
+        BadInputError: the file cannot be read, is too large, or a line before the last is no JSON object.
     """
     try:
+        if path.stat().st_size > LARGEST_JSON:
+            raise BadInputError(f"journal {path}: must hold at most {LARGEST_JSON} bytes, found {path.stat().st_size}")
         # What follows the last line's end was torn off, even where it reads as JSON.
         *lines, _ = path.read_bytes().split(b"\n")
     except OSError as error:
@@ -183,7 +164,7 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         if not line:
             continue
         try:
-            item = json.loads(line)
+            item = parse_json(line)
             if not isinstance(item, dict):
                 raise ValueError("no JSON object")
         except ValueError as error:
@@ -198,26 +179,110 @@ def read_records(path: Path) -> Records:
     Raises:
         BadInputError: the file cannot be read, or a line is damaged, out of order or of no answer.
     """
-    records = Records()
-    lines: list[Line] = []
+    reader = _Reader()
     for number, item in enumerate(read_lines(path), start=1):
         if item.get("kind") not in _KINDS:
             continue
         try:
-            line = _LINE.validate_python(item)
-            if isinstance(line, DropLine):
-                # A dropped answer's own doings, such as what it withdrew, are best forgotten by starting over.
-                lines, records = _without_dropped(lines, line), Records()
-                for kept in lines:
-                    records.add(kept)
-            else:
-                lines.append(line)
-                records.add(line)
+            reader.read(_LINE.validate_python(item))
         except ValidationError as error:
             raise BadInputError(f"journal {path}: line {number}: {flaw(error, skip=1)}") from error
         except ValueError as error:
             raise BadInputError(f"journal {path}: line {number}: {error}") from error
-    return records
+    return reader.records()
+
+
+# Lines read anew because of drops; nobody comes near it, and a made-up journal must not take hours.
+_MOST_READ_ANEW = 2_000_000
+
+
+class _Reader:
+    """What a journal's lines come to, in time proportional to their number."""
+
+    def __init__(self) -> None:
+        self._lines: list[Line] = []
+        self._read_anew = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._items: list[Record] = []
+        self._opinions: defaultdict[int, list[OpinionLine]] = defaultdict(list)
+        self._pending = 0
+        # Numbers, negative, of answers that may be withdrawn, the latest first; some may have been since.
+        self._latest: list[int] = []
+
+    def records(self) -> Records:
+        """Return the content so far."""
+        items = list(self._items)
+        for number, opinions in self._opinions.items():
+            items[number] = replace(items[number], opinions=tuple(opinions))
+        return Records(items, self._pending)
+
+    def read(self, line: Line) -> None:
+        """Take in a line.
+
+        Raises:
+            ValueError: it does not fit those before it.
+        """
+        if isinstance(line, DropLine):
+            # A dropped answer's own doings, such as what it withdrew, are best forgotten by starting over.
+            self._lines = _without_dropped(self._lines, line)
+            self._read_anew += len(self._lines)
+            if self._read_anew > _MOST_READ_ANEW:
+                raise ValueError(f"drops must not make more than {_MOST_READ_ANEW} lines be read anew, found more")
+            self._begin()
+            for each in self._lines:
+                self._apply(each)
+        else:
+            self._apply(line)
+            self._lines.append(line)
+
+    def _apply(self, line: Line) -> None:
+        match line:
+            case AnswerLine():
+                if line.number != len(self._items):
+                    raise ValueError(
+                        f"answers must be numbered in order, so {len(self._items)} here, found {line.number}"
+                    )
+                self._items.append(Record(line, self._pending))
+                self._pending = 0
+                self._may_be_withdrawn(line)
+            case UndoLine():
+                latest = self._withdrawable()
+                if line.number != latest:
+                    raise ValueError(
+                        f"an undo must withdraw the latest answer that stands, {latest}, found {line.number}"
+                    )
+                self._items[latest] = replace(self._items[latest], withdrawn=True)
+                self._pending += 1
+            case EditLine():
+                before = self._at(line.number)
+                changes = {"right": line.right, "better": line.better, "source": line.source}
+                answer = before.line.model_copy(update=changes)
+                learned = before.learned or line.learned
+                self._items[line.number] = replace(before, line=answer, edited=True, learned=learned)
+                self._may_be_withdrawn(answer)
+            case OpinionLine():
+                self._at(line.number)
+                self._opinions[line.number].append(line)
+
+    def _at(self, number: int) -> Record:
+        if number >= len(self._items):
+            raise ValueError(f"number must be that of an answer before it, 0 to {len(self._items) - 1}, found {number}")
+        return self._items[number]
+
+    def _may_be_withdrawn(self, line: AnswerLine) -> None:
+        if line.right is not None:
+            heappush(self._latest, -line.number)
+
+    def _withdrawable(self) -> int | None:
+        """Return the number of the latest answer that an undo may withdraw, or None."""
+        while self._latest:
+            item = self._items[-self._latest[0]]
+            if not item.withdrawn and item.line.right is not None:
+                return item.line.number
+            heappop(self._latest)
+        return None
 
 
 def _without_dropped(lines: list[Line], drop: DropLine) -> list[Line]:
@@ -241,17 +306,18 @@ class JournalFile:
         """Open a journal for appending, or begin one; a last line cut off by a crash goes.
 
         Raises:
-            BadInputError: the journal cannot be written.
+            BadInputError: the journal cannot be written, or is a link.
         """
         try:
-            _cut_torn_line(path)
-            self._file = path.open("a", encoding="utf-8")
+            self._file = os.fdopen(open_own(path, os.O_RDWR | os.O_APPEND), "a+b")
+            _cut_torn_line(self._file)
         except OSError as error:
             raise BadInputError(f"journal {path} must be writable, the system says: {error.strerror}") from error
 
     def append(self, line: ReportModel) -> None:
         """Append a line; it is on disk when this returns."""
-        self._file.write(json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n")
+        text = json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n"
+        self._file.write(text.encode())
         self._file.flush()
         os.fsync(self._file.fileno())
 
@@ -260,11 +326,9 @@ class JournalFile:
         self._file.close()
 
 
-def _cut_torn_line(path: Path) -> None:
-    if not path.exists():
-        return
-    content = path.read_bytes()
+def _cut_torn_line(file: IO[bytes]) -> None:
+    file.seek(0)
+    content = file.read()
     whole = content.rfind(b"\n") + 1
     if whole < len(content):
-        with path.open("rb+") as file:
-            file.truncate(whole)
+        file.truncate(whole)

@@ -1,1 +1,6 @@
 """The pictures of each command: one module a picture, all in one style."""
+
+import os
+
+# Pictures go to files alone, and matplotlib refuses to be imported where this names what it does not know.
+os.environ["MPLBACKEND"] = "agg"

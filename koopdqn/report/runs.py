@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from koopdqn.artifact import read_artifact
+from koopdqn.artifact import read_artifact, reading
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
 from koopdqn.files import digest
@@ -16,7 +16,8 @@ from koopdqn.report.schema import LeftOut
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.arm import Arm
-from koopdqn.settings import load_settings
+from koopdqn.run_folder import check_plain
+from koopdqn.settings import TARGET, load_settings
 from koopdqn.tasks.task import Task
 
 POLICY: Final = "policy.safetensors"
@@ -104,6 +105,7 @@ def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[
         if not (file.parent / POLICY).is_file():
             continue
         try:
+            check_plain(file.parent)
             run = _read(file.parent)
         except BadInputError as error:
             left_out.append(LeftOut(folder=str(file.parent), reason=str(error)))
@@ -129,10 +131,17 @@ def _read(folder: Path) -> Run:
         raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
     about = read_artifact(folder / POLICY, "policy").about
     try:
-        task, arm = about["task"], about["robot"]
+        nodes = {name: about[name] for name in ("task", "robot", "intent", "trust", "reward", "agent", "seed")}
     except KeyError as error:
         raise BadInputError(f"{folder / POLICY} must say what shaped it, found no {error}") from error
-    return Run(folder, train, about, load_settings(task, Task, "task"), load_settings(arm, Arm, "robot"))
+    with reading(f"policy {folder / POLICY}"):
+        task = load_settings(_without_item_targets(nodes["task"]), Task, "task")
+        arm = load_settings(_without_item_targets(nodes["robot"]), Arm, "robot")
+        # The figures need them later.
+        load_settings(nodes["intent"], IntentSettings, "intent")
+        load_settings(nodes["trust"], TrustSettings, "trust")
+        load_settings(nodes["reward"], RewardSettings, "reward")
+        return Run(folder, train, about, task, arm)
 
 
 class Preset(NamedTuple):
@@ -194,3 +203,13 @@ def group_runs(runs: Sequence[Run], presets: Presets) -> tuple[Groups, list[Left
 
 def _rank(key: str, runs: Sequence[Run], present: str) -> tuple[bool, int, int]:
     return key == present, len({run.seed for run in runs}), max(run.age for run in runs)
+
+
+def _without_item_targets(node: Any) -> Any:
+    """Return a node whose lists' items name no class, as a settings class takes them."""
+    if isinstance(node, Mapping):
+        return {key: _without_item_targets(value) for key, value in node.items()}
+    if isinstance(node, list):
+        plain = [{k: v for k, v in item.items() if k != TARGET} if isinstance(item, Mapping) else item for item in node]
+        return [_without_item_targets(item) for item in plain]
+    return node

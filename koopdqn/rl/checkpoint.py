@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from koopdqn.artifact import Artifact, read_artifact, write_artifact
+from koopdqn.artifact import Artifact, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.files import canonical_json
 from koopdqn.rl.algorithm1 import Trainer
@@ -45,7 +45,9 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
     if not path.exists():
         return None
     artifact = read_artifact(path, KIND)
-    other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
+    with reading(f"checkpoint {path}"):
+        other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
+        float(artifact.about["seconds"])
     if other:
         shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
         raise BadInputError(
@@ -56,8 +58,13 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
 
 
 def questions_asked(checkpoint: Artifact) -> int:
-    """Return how many questions had reached the oracle when a run's checkpoint was saved."""
-    return int(checkpoint.arrays["feedback/questions"])
+    """Return how many questions had reached the oracle when a run's checkpoint was saved.
+
+    Raises:
+        BadInputError: the checkpoint does not say.
+    """
+    with reading("the checkpoint"):
+        return int(checkpoint.arrays["feedback/questions"])
 
 
 def _differences(name: str, began: Any, now: Any) -> list[str]:

@@ -141,6 +141,14 @@ def linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
     return layer
 
 
+def values_in(inputs: int, settings: NetworkSettings) -> int:
+    """Return how many numbers a network for observations (N, inputs) consists of, its buffers included."""
+    waved = _POSITION if inputs == _HELD else _POSITION + _ROTATION
+    features = settings.fourier_features
+    widths = [inputs + features, *settings.hidden, COUNT]
+    return 2 * inputs + (waved + 1) * features + sum((before + 1) * after for before, after in pairwise(widths))
+
+
 def size(task: Task) -> int:
     """Return the number of observed values: 5 with orientation held, 8 otherwise."""
     return 5 if task.orientation == "held" else 8

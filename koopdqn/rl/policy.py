@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from koopdqn.artifact import Artifact, check_task, described, read_artifact, write_artifact
+from koopdqn.artifact import Artifact, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import load_arrays
-from koopdqn.rl.network import QNetwork, observe, size
+from koopdqn.rl.network import QNetwork, observe, size, values_in
 from koopdqn.rl.settings import NetworkSettings
 from koopdqn.settings import validate
 from koopdqn.tasks.start_frame import STILL, StartFrame
@@ -58,13 +58,18 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
     artifact = read_artifact(path, KIND)
     about = dict(artifact.about)
     check_task(f"policy {path}", about.get("task"), task)
-    node = {key: value for key, value in about["network"].items() if key != "target"}
-    settings = validate(node, NetworkSettings, "policy.network")
-    network = QNetwork(size(task), settings, np.random.default_rng(0))
-    try:
+    with reading(f"policy {path}"):
+        node = {key: value for key, value in about["network"].items() if key != "target"}
+        settings = validate(node, NetworkSettings, "policy.network")
+        held, wanted = sum(values.size for values in artifact.arrays.values()), values_in(size(task), settings)
+        # Before a network is made that the settings alone make large.
+        if held != wanted:
+            raise BadInputError(
+                f"policy {path} must hold the arrays of its own settings, {wanted} numbers, found {held}"
+            )
+        network = QNetwork(size(task), settings, np.random.default_rng(0))
         load_arrays(network, artifact.arrays)
-    except RuntimeError as error:
-        # torch lists every array on a line of its own.
-        found = " ".join(str(error).split())
-        raise BadInputError(f"policy {path} must hold the arrays of its own settings, found: {found}") from error
-    return Policy(network, task, StartFrame.restore(about.get("frame", STILL.described()))), about
+        frame = StartFrame.restore(about.get("frame", STILL.described()))
+        policy = Policy(network, task, frame)
+        policy(task.nominal_start[None], task.nominal_start[None])
+        return policy, about

@@ -85,6 +85,6 @@ class TrainReport(ReportModel):
     best_update: NonNegativeInt = Field(description="updates at that check, whose network the policy is")
     step_limit: Count = Field(description="steps after which an episode is cut")
     checks: list[CheckReport] = Field(description="(C,) every check, in order")
-    threads: Count = Field(description="torch's threads")
+    threads: Count = Field(description="threads of BLAS and torch")
     device: str = Field(default="cpu", description="where the networks computed: `cpu`, or the name of the GPU")
     made_from: MadeFrom = Field(description="what the policy was made from")

@@ -101,5 +101,7 @@ class TrainSettings(Settings):
         ge=3, le=1000, description="step limit of an episode in steps of the longest demonstration"
     )
     threads: int = Field(
-        ge=1, le=256, description="torch's threads; more is slower for small networks on a busy machine"
+        ge=1,
+        le=256,
+        description="threads of BLAS and torch, in every command; more is slower for small networks on a busy machine",
     )

@@ -90,6 +90,9 @@ _REACH_SLACK: Final = 1e-9
 _SINGULAR_SINE: Final = 1e-7
 """|sin q5| below which the axes of joints 4 and 6 count as parallel, and q6 is the seed's."""
 
+# No arm of that family comes near it; longer ones, squared, leave the numbers.
+_LONGEST_M = 10.0
+
 
 class URArm(Settings):
     """An arm of the UR family, given by its DH numbers [m] and its limits; an :class:`koopdqn.robot.arm.Arm`.
@@ -106,8 +109,8 @@ class URArm(Settings):
         d6: offset [m] of the flange from the axis of joint 5.
 
     Raises:
-        ValueError: on construction, a2 or a3 is zero, the joints have not six different names, a range of
-            angles is empty or does not hold home, or a speed or torque limit is not positive.
+        ValueError: on construction, a2 or a3 is zero, a length is over 10 m, the joints have not six different names,
+            a range of angles is empty or does not hold home, or a speed or torque limit is not positive.
     """
 
     name: Name
@@ -132,6 +135,9 @@ class URArm(Settings):
         for key, length in (("a2", self.a2), ("a3", self.a3)):
             if length == 0.0:
                 raise ValueError(f"{key}: must be a length other than 0 m, found {length}")
+        for key in ("d1", "a2", "a3", "d4", "d5", "d6"):
+            if abs(getattr(self, key)) > _LONGEST_M:
+                raise ValueError(f"{key}: must be within {_LONGEST_M:g} m, found {getattr(self, key)}")
         if len(set(self.joint_names)) != 6 or len(self.joint_names) != 6:
             raise ValueError(f"joint_names: must be 6 different names, found {list(self.joint_names)}")
         for key, unit, limits in (

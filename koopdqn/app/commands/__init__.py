@@ -40,6 +40,9 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
     from koopdqn.app.commands.pipeline import with_task
+    from koopdqn.settings import plain
+    from koopdqn.threads import threads
+    from koopdqn.untrusted import targets, trusting
 
     settings = Configuration.load(config)
     place, foreign = _COMMANDS[command]
@@ -50,7 +53,9 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
             raise BadInputError(
                 f"{key.removesuffix('_file')}: koopdqn {command} reads no such file or folder, found {found!r}"
             )
-    with warnings.catch_warnings():
+    # What the config names was named by the user: a run's record may name classes of koopdqn alone.
+    named = [str(target).rpartition(".")[0] for _, target in targets(plain(config))]
+    with warnings.catch_warnings(), trusting([*settings.inputs.trust_modules, *named]), threads(settings.train.threads):
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)

@@ -19,7 +19,7 @@ from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.arm import Arm
-from koopdqn.settings import NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
+from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
 
@@ -38,6 +38,7 @@ class Inputs(Settings):
     run: PathText | None
     demos: Sources | None
     intent_file: PathText | None
+    trust_modules: Modules
 
 
 @dataclass(frozen=True)

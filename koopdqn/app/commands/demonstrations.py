@@ -22,6 +22,11 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.paths import arc_lengths
 from koopdqn.tasks.workcell import Workcell
 
+_AT_ONCE = 10_000
+"""Poses whose joint angles are looked for together."""
+_MOST_SHOWN = 100
+"""Demonstrations in the table."""
+
 
 def demo(config: Configuration, folder: Path) -> CommandResult:
     """Generate or record demonstrations into ``demos.hdf5`` and draw them in ``demos.png``."""
@@ -109,12 +114,19 @@ def _read(config: Configuration, purpose: str) -> tuple[Demonstrations, tuple[st
     return read_demonstrations(sources, config.chosen.name, config.robot.name, any_task=True), sources
 
 
+def _reachable(config: Configuration, poses: pose.Array) -> bool:
+    parts = (poses[begin : begin + _AT_ONCE] for begin in range(0, len(poses), _AT_ONCE))
+    return not any(
+        np.isnan(config.robot.inverse_batch(part, np.tile(config.robot.home, (len(part), 1)))).any() for part in parts
+    )
+
+
 def import_(config: Configuration, folder: Path) -> CommandResult:
     """Write what ``demos=`` names to ``demos.hdf5``, sample for sample, and say what is in it."""
     demonstrations, sources = _read(config, "import")
     name, path = config.chosen.name, folder / DEMONSTRATIONS
     cut = trim_idle_each(demonstrations.items)
-    reachable = [all(len(config.robot.solutions(here)) for here in each.item.poses) for each in cut]
+    reachable = [_reachable(config, each.item.poses) for each in cut]
     lengths = [float(arc_lengths(each.item.poses[:, pose.POSITION])[-1]) for each in cut]
     turns = [float(pose.rotation_distance(each.item.poses[0], each.item.poses[-1])) for each in cut]
     samples = [len(item) for item in demonstrations.items]
@@ -145,11 +157,12 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
             f"{np.degrees(turns[index]):.1f}°",
             "yes" if reachable[index] else "NO",
         )
-        for index, each in enumerate(cut)
+        for index, each in enumerate(cut[:_MOST_SHOWN])
     ]
     headings = ("demo", "samples", "time", "idle before", "after", "path", "turn", "reached")
     lines: list[RenderableType] = [
         console.table(headings, rows, (), title=f"{len(demonstrations)} demonstrations for task {name}"),
+        *([f"and {len(cut) - _MOST_SHOWN} more, which --json lists"] if len(cut) > _MOST_SHOWN else []),
         "idle ends are kept in the file; learning cuts them off",
         f"demonstrations  {console.shown_path(path)}",
     ]

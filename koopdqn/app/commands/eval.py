@@ -11,6 +11,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.train import POLICY, REPORT
 from koopdqn.app.result import CommandResult
+from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
@@ -22,6 +23,9 @@ from koopdqn.tasks.rollout import SUCCESS
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+_LONGEST = 1_000_000
+"""The most steps that an episode may be given."""
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -40,7 +44,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     intent = read_intent(source / pipeline.INTENT, config.task)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     for name, sha in made_from.items():
-        if about["made_from"][name] != sha:
+        with reading(f"policy {source / POLICY}"):
+            made_with = about["made_from"][name]
+        if made_with != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     step_limit = _step_limit(source / REPORT)
     workcell = pipeline.open_scene(config)
@@ -78,8 +84,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 def _step_limit(path: Path) -> int:
     report = read_json(path, "the training report")
     limit = report.get("step_limit") if isinstance(report, dict) else None
-    if not isinstance(limit, int) or limit < 1:
-        raise BadInputError(f"{path}: step_limit must be a whole number above 0, found {shown(limit)}")
+    if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= _LONGEST:
+        raise BadInputError(
+            f"{path}: step_limit must be a whole number above 0, at most {_LONGEST}, found {shown(limit)}"
+        )
     return limit
 
 

@@ -9,13 +9,15 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.result import CommandResult
-from koopdqn.files import write_json
+from koopdqn.artifact import reading
+from koopdqn.errors import BadInputError
+from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
 from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
 from koopdqn.rl.footprint import check_device, check_memory
 from koopdqn.rl.history import Check
@@ -24,6 +26,7 @@ from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
+from koopdqn.settings import shown
 
 POLICY = "policy.safetensors"
 REPORT = "train.json"
@@ -33,6 +36,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     """Learn from given or new demonstrations, or go on with the run that the folder holds."""
     began = monotonic()
     config.oracle.check()
+    _check_threads(config)
     check_memory(config.agent, size(config.task))
     check_device(config.agent)
     workcell = pipeline.open_scene(config)
@@ -58,7 +62,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         Asking(config.oracle.ask, config.oracle.gather_most),
     )
     if checkpoint is not None:
-        trainer.restore(checkpoint.arrays, checkpoint.about["state"])
+        with reading(f"checkpoint {checkpoint_path(folder)}"):
+            trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
     _learn(trainer, oracle, folder, shaped_by, began - before, bar=not config.oracle.shows_progress)
     seconds = before + monotonic() - began
@@ -75,6 +80,21 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         objective=report["best_success_rate"],
         exit_status=0 if trainer.learned else 1,
     )
+
+
+def _check_threads(config: Configuration) -> None:
+    """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
+    journal = getattr(config.oracle, "journal", None)
+    report = None if journal is None else Path(journal).parent / REPORT
+    if report is None or not report.is_file():
+        return
+    content = read_json(report, "the training report")
+    recorded = content.get("threads") if isinstance(content, dict) else None
+    if recorded not in (None, config.train.threads):
+        raise BadInputError(
+            f"train.threads: must be that of the run whose journal is given again ({shown(recorded)}, {report}), found"
+            f" {config.train.threads}: sums in another order lead to other questions"
+        )
 
 
 def _learn(

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 from koopdqn import console
-from koopdqn.app.hydra.folder import register_resolver, require_new
+from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.resources import conf_dir
+from koopdqn.run_folder import locked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -48,22 +49,14 @@ class Job:
 
     def __call__(self, config: "DictConfig") -> float | None:
         """Run the command and return its objective (for sweepers); the config comes from Hydra."""
-        try:
-            return self._run(config)
-        except Exception:
-            if not _in_sweep():
-                # Hydra adds a line of its own for a failed job, which says nothing the error does not
-                sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
-            raise
-
-    def _run(self, config: "DictConfig") -> float | None:
         from hydra.core.hydra_config import HydraConfig
 
         hydra = HydraConfig.get()
         folder = Path(hydra.runtime.output_dir)
         if not self.continues:
             require_new(folder, ignore=f"{hydra.job.name}.log")
-        outcome = self.work(self.command, config, folder)
+        with locked(folder):
+            outcome = self.work(self.command, config, folder)
         number = int(hydra.job.num) if _in_sweep() else 0
         record = {"exit_status": outcome.exit_status, "sweep": _in_sweep(), "result": outcome.result}
         text = json.dumps(record, allow_nan=False)
@@ -138,6 +131,8 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
     # hydra.main reads the command line itself, and with this variable lets errors through to the caller
     sys.argv = [sys.argv[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
+    # Hydra adds a line of its own for a failed job, which says nothing the error does not
+    sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
     try:
         hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")(job)()
     finally:
@@ -149,6 +144,7 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
         else:
             os.environ["HYDRA_FULL_ERROR"] = before[2]
         register_resolver(check=False)
+        release_taken()
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koopdqn.errors import BadInputError
+from koopdqn.run_folder import check_plain, hold, release
 
 RESOLVER = "new_folder"
 """Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
@@ -15,6 +16,9 @@ PER_TASK = "per_task"
 """Name of the OmegaConf resolver ``${per_task:NAME,USUAL,{OTHER: VALUE}}``: Appendix 7.1 gives some tasks their own."""
 FREE_RESOLVER = "free_folder"
 """Name of the OmegaConf resolver ``${free_folder:…}`` that conf/ puts around the run folder's default name."""
+
+
+_held: list[Path] = []
 
 
 def register_resolver(*, check: bool) -> None:
@@ -83,6 +87,9 @@ def require_writable(folder: Path) -> None:
 def _taken(path: object) -> str:
     """Make a folder that is nobody else's yet, numbered where the name is taken: the clock tells seconds only."""
     wanted = Path(str(path))
+    # The name holds the task's, which nothing has checked yet.
+    if ".." in wanted.parts or not str(path).isprintable():
+        raise BadInputError(f"task.name: must be a name that a folder can have, found one that makes {str(path)!r}")
     require_writable(wanted.parent)
     for number in itertools.count(1):
         folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
@@ -98,5 +105,20 @@ def _checked(path: object) -> str:
     if path is None or not text.strip():
         raise BadInputError(f"out: must name a folder, found {path!r}")
     require_new(Path(text))
+    record = Path(text) / ".hydra"
+    # Hydra writes there, through links too.
+    if record.is_symlink() or (record.exists() and not record.is_dir()):
+        raise BadInputError(f"out: must name a new or an empty folder, found {text!r}, whose .hydra is no folder")
+    if record.is_dir():
+        check_plain(record)
     require_writable(Path(text))
+    # Before Hydra writes there: of two commands started at once the second must not touch the first one's record.
+    if hold(Path(text)):
+        _held.append(Path(text))
     return text
+
+
+def release_taken() -> None:
+    """Unlock the run folders that the resolver has taken."""
+    while _held:
+        release(_held.pop())

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from koopdqn.app.hydra.record import PATH_NAMES, Recorded, check_record, read_record
 from koopdqn.errors import BadInputError
 from koopdqn.settings import shown
 
@@ -32,11 +33,11 @@ _SHORT_NAMES: Final = {
     "demos.place": "task.place",
     "sweep": "report.sweep",
 }
-_RECORD: Final = Path(".hydra") / "overrides.yaml"
-_OWN_KEYS: Final = ("command", "out", "run")
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
+"""Inputs that a run keeps a copy of, and its name."""
+_JOURNAL: Final = "feedback.jsonl"
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
-      after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone. Inputs that DIR keeps
+      after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone. The record is data
+      (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps
       a copy of are read from there, wherever the files first given are by now. Where another oracle is
       given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
@@ -99,15 +101,14 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if "out" in keys:
         raise BadInputError(f"out: {command} run=DIR goes on in DIR, so that out= cannot be given as well")
     folder = folders[-1]
-    copies = _COPIES if command == "train" else {}
-    copied = [key for key, name in copies.items() if (Path(folder) / name).is_file()]
-    recorded = [item for item in _recorded(folder, command) if _key(item) not in copied]
     given = {_name(override) for override in prepared}
+    recorded = [item for item in _recorded(folder, command) if item.name not in given]
     if "oracle" in given:
         # Who answers may change within a run; the settings were those of who answered before.
-        recorded = [item for item in recorded if not _key(item).startswith("oracle.")]
+        recorded = [item for item in recorded if item.root != "oracle"]
+    copied = _copied(Path(folder), recorded) if command == "train" else []
     merged = [
-        *(override for override in recorded if _name(override) not in given),
+        *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
         *prepared,
         f"command={command}",
         f"out={_quoted(folder)}",
@@ -130,12 +131,37 @@ def newest_trained_run(below: Path = Path("runs")) -> Path:
 
 
 def _prepare_evaluation(prepared: list[str], folder: str) -> Prepared:
-    recorded = _recorded(folder, "train")
     given = {_name(override) for override in prepared}
-    # A run's own inputs lie in its folder, and its outcome does not depend on how many are evaluated.
-    own = [item for item in recorded if _name(item) not in given and _key(item) not in ("demos", "intent_file")]
+    # A run's own inputs lie in its folder, and nobody is asked any more.
+    unread = ("demos", "intent_file", "oracle")
+    recorded = [item for item in _recorded(folder, "train") if item.name not in given and item.root not in unread]
+    own = check_record(recorded, Path(folder), _trusted(prepared), [])
     rest = [item for item in prepared if _key(item) != "run"]
     return Prepared([*own, *rest, f"run={_quoted(folder)}", "command=eval"])
+
+
+def _paths(keys: Iterable[str]) -> list[str]:
+    return [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
+
+
+def _copied(folder: Path, recorded: Iterable[Recorded]) -> list[str]:
+    """Return the keys of the inputs that a run keeps a copy of."""
+    copied = [key for key, name in _COPIES.items() if (folder / name).is_file()]
+    # A person's answers are added to those that the run began with; a replay reads its journal to the end.
+    at_terminal = any(item.key == "oracle" and item.value == "terminal" for item in recorded)
+    return [*copied, "oracle.journal"] if at_terminal and (folder / _JOURNAL).is_file() else copied
+
+
+def _trusted(prepared: Iterable[str]) -> list[str]:
+    """Return the modules of ``trust_modules=``."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    found: list[str] = []
+    for item in prepared:
+        if _key(item) == "trust_modules":
+            value = OverridesParser.create().parse_override(item).value()
+            found += [str(each) for each in (value if isinstance(value, list) else [value])]
+    return found
 
 
 def _prepare_one(override: str) -> str:
@@ -204,32 +230,12 @@ def _value(override: str) -> str:
     return _unquoted(override.partition("=")[2])
 
 
-def _recorded(folder: str, command: str) -> list[str]:
-    from omegaconf import OmegaConf
-
+def _recorded(folder: str, command: str) -> list[Recorded]:
     what = _CONTINUED[command]
     if not folder.strip():
         raise BadInputError(f"run: must name the folder of {what}, found ''")
-    path = Path(folder)
-    if not path.is_dir():
-        raise BadInputError(f"run: must name the folder of {what}, found no folder {folder!r}")
-    record = path / _RECORD
-    if not record.is_file():
-        raise BadInputError(f"run: must name the folder of {what}, found no {_RECORD} in {folder!r}")
-    if not record.stat().st_size:
-        raise BadInputError(f"run: {folder!r} must hold what it was begun with, found it stopped before it had begun")
-    try:
-        content = OmegaConf.to_container(OmegaConf.load(record), resolve=False)
-    # the file may hold anything, and the YAML parser has errors of its own
-    except Exception as error:
-        raise BadInputError(f"run: {record} cannot be read ({type(error).__name__})") from error
-    if not isinstance(content, list) or not all(isinstance(item, str) and _is_override(item) for item in content):
-        raise BadInputError(f"run: {record} must be a list of overrides, found {shown(content)}")
-    _check_command(content, command, folder)
-    return [item for item in content if _key(item) not in _OWN_KEYS]
-
-
-def _check_command(recorded: Iterable[str], command: str, folder: str) -> None:
-    commands = [_value(item) for item in recorded if _key(item) == "command"]
+    recorded = read_record(Path(folder), what)
+    commands = [item.value for item in recorded if item.key == "command"]
     if commands and commands[-1] != command:
         raise BadInputError(f"run: must name a run of {command!r}, found one of {commands[-1]!r} in {folder!r}")
+    return recorded

@@ -91,9 +91,11 @@ class Device:
         if not self._handlers and threading.current_thread() is threading.main_thread():
             self._handlers = {
                 signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._suspend),
-                signal.SIGHUP: signal.signal(signal.SIGHUP, self._die),
                 signal.SIGQUIT: signal.signal(signal.SIGQUIT, self._die),
             }
+            # Unless whoever runs this ends it in an orderly way already.
+            if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+                self._handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._die)
         tty.setcbreak(self._in)
         self.write(_ENTER)
 

@@ -9,7 +9,6 @@ from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 from rich.color import Color
-from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
@@ -257,10 +256,10 @@ class Window(Generic[Drawer]):
         """Return lines as what the terminal reads, each at its row and the rest of the row empty."""
         real = console.err()
         buffer = io.StringIO()
-        shown = Console(
+        shown = console.LiteralConsole(
             file=buffer,
             force_terminal=True,
-            color_system=real.color_system or "standard",  # type: ignore[arg-type]  # Rich names it by a plain str
+            color_system=real.color_system or "standard",
             no_color=real.no_color,
             width=width,
             legacy_windows=False,

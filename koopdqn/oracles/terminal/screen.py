@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from koopdqn import pose
+from koopdqn import console, pose
 from koopdqn.oracles.base import Answer, Earlier, Question
 from koopdqn.tasks.actions import ACTIONS, COUNT, legal_actions
 from koopdqn.tasks.task import Task
@@ -139,7 +139,8 @@ def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Te
         legend = [_legend(shown.times, place.width)] if shown.times else []
         left_lines = picture_lines(shown.picture, legend, shown.remark, place)[:room]
         body = beside(left_lines, _right(shown, question, width, place, room), place.width)
-    return framed(f"{head}   {shown.teacher}", body, KEYS, [status_line(shown.status, width)], width, height)
+    head = f"{head}   {console.visible(shown.teacher)}"
+    return framed(head, body, KEYS, [status_line(shown.status, width)], width, height)
 
 
 def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text], width: int, height: int) -> list[Text]:
