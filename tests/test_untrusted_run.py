@@ -206,7 +206,7 @@ def test_every_setting_that_is_a_path_is_known_as_one() -> None:
             yield each
             yield from subclasses(each)
 
-    for name in ("file", "replay", "terminal.settings"):
+    for name in ("file", "replay", "terminal"):
         __import__(f"koopdqn.oracles.{name}")
     found = {
         name
