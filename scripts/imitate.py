@@ -71,7 +71,7 @@ def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ())
 
     evaluating = [f"run={run}", "out=unused", *overrides, "eval.dynamics=false", "eval.baselines=false"]
     config = composed(prepare("eval", evaluating).overrides)
-    configuration = Configuration.load({key: config[key] for key in config if key != "hydra"})
+    configuration = Configuration.load(config)
     torch.set_num_threads(configuration.train.threads)
     demonstrations = pipeline.demonstrations_of(configuration, run)
     report = read_json(run / "train.json", "the training report")

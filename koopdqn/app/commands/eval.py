@@ -39,6 +39,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     source = config.inputs.run
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
+    config = pipeline.as_trained(config, source, source / POLICY)
     policy, about = read_policy(source / POLICY, config.task)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)

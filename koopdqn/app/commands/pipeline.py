@@ -9,6 +9,9 @@ import numpy as np
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed
+from koopdqn.app.hydra.overrides import prepare
+from koopdqn.artifact import described, read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
@@ -17,11 +20,15 @@ from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.fit import Fitted, agent_steps, fit
+from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.pose import POSITION, Array
+from koopdqn.robot.arm import Arm
 from koopdqn.robot.scene import Scene
+from koopdqn.settings import load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell, build_scene, open_workcell
 
 DEMONSTRATIONS = "demos.hdf5"
@@ -92,6 +99,40 @@ def _arm_in(config: Configuration, task: DemonstratedTask) -> Reachability:
     scene, seconds = build_scene(task, config.robot), config.robot.step_seconds
     posture = Reachability(config.robot, scene, seconds).enter(task.nominal_start).joints
     return Reachability(config.robot, scene, seconds, posture)
+
+
+def as_trained(config: Configuration, run: Path, policy: Path) -> Configuration:
+    """Return a config with the task, arm and reward that a run was trained with, as its policy's file holds them.
+
+    They may differ from the config because koopdqn's defaults have changed since. What the command line changes
+    stays changed, and whether it fits the policy is for others to say.
+
+    Raises:
+        BadInputError: the file is missing, damaged, or holds what this release does not know.
+    """
+    about = read_artifact(policy, "policy").about
+    with reading(f"policy {policy}"):
+        task = load_settings(about["task"], Task, "task")
+        robot: Any = load_settings(about["robot"], Arm, "robot")
+        reward = load_settings(about["reward"], RewardSettings, "reward")
+    trained = {"task": task, "robot": robot, "reward": reward}
+    changed = [name for name, each in trained.items() if described(each) != described(getattr(config, name))]
+    if not changed:
+        return config
+    recorded = composed(prepare("eval", [f"run={run}"]).overrides)
+    default = with_task(Configuration.load(recorded), run, keep=False)
+    own = [name for name in changed if described(getattr(default, name)) == described(getattr(config, name))]
+    for name in own:
+        console.note(f"{name}: as in the run, from which today's defaults differ")
+    if "task" in own and config.derived is None:
+        config = replace(config, chosen=task)
+    elif "task" in own and config.derived is not None and isinstance(task, DemonstratedTask):
+        config = replace(config, derived=replace(config.derived, task=task))
+    return replace(
+        config,
+        robot=robot if "robot" in own else config.robot,
+        reward=reward if "reward" in own else config.reward,
+    )
 
 
 INTENT = "intent.npz"
