@@ -160,7 +160,7 @@ def _to_sources(value: object) -> object:
 
 
 def _to_modules(value: object) -> object:
-    values = value if isinstance(value, list | tuple) else [value]
+    values = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
     if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
         raise ValueError("must be the dotted name of a module, or a list of them in brackets")
     return tuple(values)
