@@ -13,6 +13,8 @@ CONSTRAINTS ?= constraints.txt
 export CONSTRAINTS
 # The folder of motions of people that `make people` and `make ablations` measure.
 PEOPLE ?= ../shared/data
+# Options of scripts/bench.py: --long, --pykoopman=PYTHON.
+BENCH ?=
 # After how many minutes `make study` and `make ablations` begin no new run.
 MINUTES ?= 90
 
@@ -62,8 +64,9 @@ types: $(STAMP) ## Check types
 sizes: $(STAMP) ## Print lines, modules, circles and upward imports of the package
 	$(BIN)/python scripts/sizes.py
 
-bench: $(STAMP) ## Measure speed on this machine
-	$(BIN)/python scripts/bench.py
+bench: $(STAMP) ## Measure speed beside peers, into docs/performance.md; BENCH=--long learns whole tasks too
+	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) -e '.[bench]'
+	$(BIN)/python scripts/bench.py $(BENCH)
 
 ablations: $(STAMP) ## Measure each deviation from the paper, for at most MINUTES; hours, goes on where it stopped
 	$(BIN)/python scripts/study.py ablations --data $(PEOPLE) --minutes $(MINUTES)

@@ -49,17 +49,29 @@ class SmoothPath:
         """Distance between neighbouring points [m]."""
         return self.length / (len(self.points) - 1)
 
-    def nearest(self, positions: ArrayLike) -> np.ndarray:
-        """Return the arc length (N,) [m] of the path's point nearest to each position (N, 3) [m]."""
-        positions = np.asarray(positions, dtype=float)
+    def nearest(self, positions: ArrayLike, *, alone: bool = False) -> np.ndarray:
+        """Return the arc length (N,) [m] of the path's point nearest to each position (N, 3) [m].
+
+        With ``alone`` no rounding hangs on how many positions there are.
+        """
         # ‖p−c‖² without its constant ‖p‖²: a matrix product instead of an (N, M, 3) difference.
-        squared = (self.points**2).sum(axis=1) - 2.0 * positions @ self.points.T
+        products = row_products(2.0 * np.asarray(positions, dtype=float), self.points, alone=alone)
+        squared = (self.points**2).sum(axis=1) - products
         return np.asarray(squared.argmin(axis=1) * self.spacing)
 
     def at(self, arc: ArrayLike) -> Array:
         """Return the positions (N, 3) [m] at arc lengths (N,) [m], clamped to the path's ends."""
         index = np.rint(np.asarray(arc) / self.spacing).astype(int)
         return np.asarray(self.points[np.clip(index, 0, len(self.points) - 1)], dtype=float)
+
+
+def row_products(rows: Array, others: Array, *, alone: bool) -> Array:
+    """Return the scalar products (N, M) of rows (N, d) with others (M, d).
+
+    BLAS adds up those of a single row in another order than those of several: with ``alone`` each row's are to the last
+    bit what they are without the others.
+    """
+    return np.array([row @ others.T for row in rows]) if alone else np.asarray(rows @ others.T)
 
 
 def arc_lengths(points: ArrayLike) -> Array:

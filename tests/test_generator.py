@@ -11,6 +11,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import generate, smooth_variation
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
+from koopdqn.tasks.reachability import Motion, Reachability
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import Workcell
 
@@ -48,6 +49,27 @@ def test_each_lies_on_the_arm_touches_nothing_and_ends_at_the_goal(
         assert not shelf_task.rule_broken(item.poses).any()
         offset = np.abs(item.poses[0, :3] - shelf_task.nominal_start[:3])
         assert np.all(offset <= np.array(shelf_task.start_half_range_m) + 1e-9)
+
+
+class _Refusing(Reachability):
+    """An arm that cannot take every third start, nor follow every other path."""
+
+    def enter(self, pose: Array) -> Motion:
+        return Motion(None, "unreachable") if int(pose[0] * 1e7) % 3 == 0 else super().enter(pose)
+
+    def follow(self, poses: Array) -> tuple[Array | None, str]:
+        return (None, "collision") if int(poses[1, 1] * 1e9) % 2 == 0 else super().follow(poses)
+
+
+def test_a_small_set_is_the_beginning_of_a_large_one_whatever_was_refused(workcell: Workcell, parts: Parts) -> None:
+    arm = _Refusing(workcell.arm, workcell.scene, workcell.arm.step_seconds, workcell.reachability.posture)
+    sets = [generate(parts.task, arm, parts.demo.model_copy(update={"count": n}), 0) for n in (1, 2, 5)]
+    assert min(sets[-1].redrawn[reason] for reason in ("collision", "unreachable")) > 0
+    for smaller, larger in itertools.pairwise(sets):
+        assert sum(smaller.redrawn.values()) <= sum(larger.redrawn.values())
+        for one, other in zip(smaller.demonstrations.items, larger.demonstrations.items, strict=False):
+            np.testing.assert_array_equal(one.poses, other.poses)
+            np.testing.assert_array_equal(one.times, other.times)
 
 
 def test_samples_come_at_the_wished_rate_and_speed(demonstrations: Demonstrations, parts: Parts) -> None:

@@ -5,6 +5,8 @@ import pytest
 from parts import with_fields
 
 from koopdqn import pose
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed
 from koopdqn.pose import Array
 from koopdqn.tasks.person import Law, Pursuit, ShownPath
 from koopdqn.tasks.shelf import ShelfTask
@@ -61,6 +63,26 @@ def test_it_is_a_function_of_the_pose_alone(shelf_task: ShelfTask) -> None:
     np.testing.assert_allclose(backward, together, atol=1e-12)
     for point, reached in zip(poses[:10], together, strict=False):
         np.testing.assert_allclose(law.next_pose(point[None])[0], reached, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "options", [["task=shelf", "person=square"], ["task=knife"], ["task=both_sides", "person=via"]]
+)
+def test_paths_followed_together_are_those_followed_alone_to_the_last_bit(options: list[str]) -> None:
+    task = Configuration.load(composed([*options, "out=unused"])).task
+    law, starts = task.law(finer=2), task.draw_starts(np.random.default_rng(2), 4)
+    for start, path in zip(starts, law.roll_outs(starts, 300), strict=True):
+        np.testing.assert_array_equal(law.roll_out(start, 300), path)
+
+
+def test_paths_of_different_lengths_each_end_at_the_goal(law: Law) -> None:
+    starts = pose.make([[0.3, 0.01, 0.0], [0.0, 0.0, 0.0], [0.39, 0.0, 0.0]], UPRIGHT)
+    paths = law.roll_outs(starts, 1000)
+    assert len(paths[2]) < len(paths[0]) < len(paths[1])
+    for start, path in zip(starts, paths, strict=True):
+        np.testing.assert_array_equal(path[0], start)
+        np.testing.assert_allclose(path[-1], law.goal, atol=1e-6)
+    assert law.roll_outs(starts[:0], 1000) == []
 
 
 def test_held_orientation_is_the_goals(shelf_task: ShelfTask) -> None:

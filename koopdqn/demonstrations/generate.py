@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -12,6 +13,7 @@ from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, at_arc_lengths, hausdorff
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
+from koopdqn.tasks.person import Law
 from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.task import Task
 
@@ -72,13 +74,19 @@ def generate(
     kept: list[Array] = []
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
-        start = task.draw_demonstrated_starts(rng, 1)[0]
-        joints, reason = None, reachability.enter(start).reason
-        if not reason:
-            variation, shown = _distinct_variation(task, rng, nominal, kept)
-            times, poses = _paced(_varied(_follow(task, start), variation), settings, rng)
-            joints, reason = reachability.follow(poses)
-        if joints is None:
+        draws, reason = _draws(task, reachability, rng, nominal, kept, settings.count - len(items))
+        paths = _law(task).roll_outs(np.array([draw.start for draw in draws]).reshape(-1, 7), _limit(task))
+        for draw, path in zip(draws, paths, strict=True):
+            times, poses = _paced(_varied(path, draw.variation), settings, draw.swells)
+            joints, refused = reachability.follow(poses)
+            if joints is None:
+                # What was drawn after it is drawn anew, as it may have been kept apart from this one.
+                reason, rng.bit_generator.state = refused, draw.after
+                break
+            kept.append(draw.shown)
+            items.append(Demonstration(times, reachability.flange_poses(joints), joints))
+            advance(len(items))
+        if reason:
             if not redrawn:
                 _check_path(task, reachability, settings)
             redrawn[reason] = redrawn.get(reason, 0) + 1
@@ -87,16 +95,46 @@ def generate(
                     f"demonstrations of task {task.name}: the arm must be able to follow most draws,"
                     f" found {sum(redrawn.values())} refused: {redrawn}"
                 )
-            continue
-        kept.append(shown)
-        items.append(Demonstration(times, reachability.flange_poses(joints), joints))
-        advance(len(items))
     return Generated(Demonstrations(task.name, reachability.arm.name, items), redrawn)
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """What makes a demonstration.
+
+    Attributes:
+        start: (7,) where it begins.
+        variation: (M, 3) [m] of its path.
+        shown: (N, 3) [m] the positions that it makes of the path from the nominal start.
+        swells: (2, 2) of its pace.
+        after: the state of the random numbers after it.
+    """
+
+    start: Array
+    variation: Array
+    shown: Array
+    swells: Array
+    after: Any
+
+
+def _draws(
+    task: Task, reachability: Reachability, rng: np.random.Generator, nominal: Array, kept: list[Array], count: int
+) -> tuple[list[_Draw], str]:
+    """Return what makes ``count`` demonstrations, or those before a start that the arm cannot take, and why not."""
+    draws: list[_Draw] = []
+    while len(draws) < count:
+        start = task.draw_demonstrated_starts(rng, 1)[0]
+        reason = reachability.enter(start).reason
+        if reason:
+            return draws, reason
+        variation, shown = _distinct_variation(task, rng, nominal, [*kept, *(draw.shown for draw in draws)])
+        draws.append(_Draw(start, variation, shown, _swells(rng), rng.bit_generator.state))
+    return draws, ""
 
 
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
     """Raise unless the arm can follow the demonstrator without variation: drawing again would not help."""
-    _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
+    _, poses = _paced(_follow(task, task.nominal_start), settings, _swells(np.random.default_rng(0)))
     joints, motion = reachability.follow_as_far(poses)
     if motion.joints is None:
         raise WorkFailedError(
@@ -133,8 +171,15 @@ def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept:
 
 
 def _follow(task: Task, start: Array) -> Array:
-    limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
-    return task.law(finer=_SUBSTEPS).roll_out(start, limit)
+    return _law(task).roll_out(start, _limit(task))
+
+
+def _law(task: Task) -> Law:
+    return task.law(finer=_SUBSTEPS)
+
+
+def _limit(task: Task) -> int:
+    return 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
 
 
 def _varied(path: Array, variation: Array) -> Array:
@@ -144,11 +189,16 @@ def _varied(path: Array, variation: Array) -> Array:
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
 
 
-def _paced(poses: Array, settings: DemonstrationSettings, rng: np.random.Generator) -> tuple[Array, Array]:
+def _swells(rng: np.random.Generator) -> Array:
+    """Return size and phase [rad] of each of the waves (2, 2) in which the pace swells."""
+    return np.array([[rng.uniform(-1, 1), rng.uniform(0, np.pi)] for _ in range(2)])
+
+
+def _paced(poses: Array, settings: DemonstrationSettings, swells: Array) -> tuple[Array, Array]:
     # Speed eases in and out and swells smoothly in between; time is the integral of its inverse.
     arc = arc_lengths(poses[:, pose.POSITION])
     share = arc / arc[-1]
-    swell = sum(rng.uniform(-1, 1) * np.sin(np.pi * (k + 1) * share + rng.uniform(0, np.pi)) for k in range(2))
+    swell = sum(size * np.sin(np.pi * (k + 1) * share + phase) for k, (size, phase) in enumerate(swells.tolist()))
     ease = np.clip(np.minimum(share, 1 - share) / 0.1, 0, 1)
     speed = settings.speed_m_s * (0.25 + 0.75 * ease) * (1 + 0.5 * settings.pace_variation * swell)
     seconds = np.concatenate([[0.0], np.cumsum(np.diff(arc) / (0.5 * (speed[1:] + speed[:-1])))])

@@ -9,9 +9,8 @@ from koopdqn.intent.model import IntentModel
 from koopdqn.intent.tube import scaled_distances
 from koopdqn.pose import Array
 from koopdqn.rl.history import Check
-from koopdqn.rl.policy import Policy
 from koopdqn.rl.settings import TrainSettings
-from koopdqn.tasks.rollout import SUCCESS, roll_out
+from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
@@ -33,7 +32,7 @@ class Checker:
         rng = np.random.default_rng([settings.check_seed, 3])
         self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
 
-    def measure(self, policy: Policy) -> tuple[float, float, dict[str, int]]:
+    def measure(self, policy: Controller) -> tuple[float, float, dict[str, int]]:
         """Return a policy's success rate, its distance from the intent's own roll-out, and failed starts by cause.
 
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same

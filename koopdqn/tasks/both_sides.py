@@ -64,11 +64,15 @@ class _AlongNearer(Law):
 
     other: Law
 
-    def next_pose(self, poses: Array) -> Array:
+    def next_pose(self, poses: Array, *, alone: bool = False) -> Array:
         """Return where the person would be after one step from poses (N, 7)."""
         position = poses[:, pose.POSITION]
         own, other = (
-            np.linalg.norm(path.at(path.nearest(position)) - position, axis=1)
+            np.linalg.norm(path.at(path.nearest(position, alone=alone)) - position, axis=1)
             for path in (self.path.places, self.other.path.places)
         )
-        return np.where((own <= other)[:, None], super().next_pose(poses), self.other.next_pose(poses))
+        return np.where(
+            (own <= other)[:, None],
+            super().next_pose(poses, alone=alone),
+            self.other.next_pose(poses, alone=alone),
+        )

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from koopdqn import pose
-from koopdqn.paths import SmoothPath, arc_lengths, to_count
+from koopdqn.paths import SmoothPath, arc_lengths, row_products, to_count
 from koopdqn.pose import Array
 from koopdqn.settings import Name, Settings, load_settings
 from koopdqn.tasks.step import one_step
@@ -42,15 +42,16 @@ class ShownPath:
         """The path's poses (P, 7)."""
         return pose.make(self.places.points, self.quaternions)
 
-    def nearest(self, positions: Array, margin: float) -> Array:
+    def nearest(self, positions: Array, margin: float, *, alone: bool = False) -> Array:
         """Return the arc length (N,) [m] of the place of the path that each position (N, 3) [m] goes on from.
 
         That is the nearest place. Where a path comes back to itself, several are nearer than the places beside them;
         of those within ``margin`` [m] of the nearest it is the latest: a law knows no past, and where a path crosses
-        itself that choice makes it end.
+        itself that choice makes it end. With ``alone`` no rounding hangs on how many positions there are.
         """
         points = self.places.points
-        squared = self._squares - 2.0 * positions @ points.T + (positions**2).sum(axis=1)[:, None]
+        products = row_products(2.0 * positions, points, alone=alone)
+        squared = self._squares - products + (positions**2).sum(axis=1)[:, None]
         distance = np.sqrt(np.maximum(squared, 0.0))
         candidate = distance <= distance.min(axis=1, keepdims=True) + margin
         # No farther than the places beside it.
@@ -100,10 +101,13 @@ class Law:
     step: float
     turn: float
 
-    def next_pose(self, poses: Array) -> Array:
-        """Return where the person would be after one step from poses (N, 7), as poses (N, 7)."""
+    def next_pose(self, poses: Array, *, alone: bool = False) -> Array:
+        """Return where the person would be after one step from poses (N, 7), as poses (N, 7).
+
+        With ``alone`` each is to the last bit what it is without the others.
+        """
         position = poses[:, pose.POSITION]
-        arc = self.path.nearest(position, _AS_NEAR * self.step)
+        arc = self.path.nearest(position, _AS_NEAR * self.step, alone=alone)
         way = self.aim(self.path, position, arc, self.step) - position
         direction = way / np.maximum(pose.norm(way), 1e-12)[:, None]
         moved = position + np.minimum(self.step, pose.position_distance(poses, self.goal))[:, None] * direction
@@ -114,14 +118,22 @@ class Law:
 
     def roll_out(self, start: Array, limit: int) -> Array:
         """Return the poses (T, 7) of the law from a start (7,) until the goal, at most ``limit`` steps."""
-        poses = [start]
+        return self.roll_outs(start[None], limit)[0]
+
+    def roll_outs(self, starts: Array, limit: int) -> list[Array]:
+        """Return the poses (T, 7) from each of several starts (N, 7): to the last bit as :meth:`roll_out` does."""
+        paths = [[start] for start in starts]
+        under_way, poses = list(range(len(starts))), starts
         for _ in range(limit):
-            reached = self.next_pose(poses[-1][None])[0]
-            poses.append(reached)
-            left = pose.position_distance(reached, self.goal), pose.rotation_distance(reached, self.goal)
-            if max(left) < _REST:
+            if not under_way:
                 break
-        return np.array(poses)
+            poses = self.next_pose(poses, alone=True)
+            for index, reached in zip(under_way, poses, strict=True):
+                paths[index].append(reached)
+            left = np.maximum(pose.position_distance(poses, self.goal), pose.rotation_distance(poses, self.goal))
+            on = left >= _REST
+            under_way, poses = [index for index, more in zip(under_way, on, strict=True) if more], poses[on]
+        return [np.array(path) for path in paths]
 
 
 class Person(Settings, ABC):

@@ -1,0 +1,154 @@
+"""Speed of learning: an update beside its bare matrix products, and whole runs beside Stable-Baselines3's DQN."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks.rows import NOT_INSTALLED, NOT_MEASURED, Row, compared, installed
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed
+from koopdqn.demonstrations.generate import generate
+from koopdqn.evaluation.evaluate import evaluate
+from koopdqn.intent.fit import agent_steps, fit
+from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.pose import Array
+from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.dqn import Learner
+from koopdqn.rl.replay_buffer import Transitions
+from koopdqn.tasks.rollout import Controller
+from koopdqn.tasks.workcell import Workcell, open_workcell
+
+# Seconds that learning itself, and the whole process, may take.
+_BARS = {"shelf": (6.0, 12.0), "knife": (9.0, 16.0)}
+_LEAST_RATIO = 8.0
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Everything that learning begins with: the same for us and for a peer.
+
+    Attributes:
+        config: the default config of a task.
+        workcell: task, arm and scene.
+        shown: demonstrated poses (N, 7) at the agent's step.
+        reward: with the fitted intent and its trust domain.
+    """
+
+    config: Configuration
+    workcell: Workcell
+    shown: list[Array]
+    reward: IntentReward
+
+    def trainer(self) -> Trainer:
+        """Return a trainer that has not begun."""
+        config = self.config
+        trajectories = self.reward.model.start_frame.each(self.shown)
+        oracle = ScriptedOracle(config.task)
+        agent, settings, seed = config.agent, config.train, config.inputs.seed
+        return Trainer(self.workcell, self.reward, trajectories, oracle, agent, settings, seed, config.feedback)
+
+    def deviation(self, policy: Controller, step_limit: int) -> tuple[float, float]:
+        """Return a policy's deviation [mm] from the demonstrator on held-out starts, and the share that succeed."""
+        alone = self.config.eval.model_copy(update={"baselines": False, "dynamics": False})
+        report = evaluate(self.workcell, policy, self.reward, self.shown, alone, step_limit).report
+        return float(report["path_deviation_mm"]["mean"]), float(report["success_rate"])
+
+
+def prepare(task: str) -> Prepared:
+    """Return what learning a task begins with, by the default config and seed 0."""
+    config = Configuration.load(composed([f"task={task}", "command=train", "out=unused"]))
+    workcell = open_workcell(config.task, config.robot)
+    demonstrations = generate(config.task, workcell.reachability, config.demo, config.inputs.seed).demonstrations
+    fitted = fit(demonstrations, config.task, config.intent, config.trust, config.reward)
+    reward = IntentReward(config.task, fitted.model, fitted.trust, config.reward)
+    return Prepared(config, workcell, agent_steps(demonstrations, config.task), reward)
+
+
+def update_row(prepared: Prepared) -> Row:
+    """Return the row of one update beside the matrix products in it, on a batch of a run's first experience."""
+    agent, trainer = prepared.config.agent, prepared.trainer()
+    while trainer.env_steps < agent.warm_up:
+        trainer.collect()
+    batch = trainer.replay.sample_states(np.random.default_rng(0), agent.batch)
+    learner = trainer.learner
+    mine, theirs = compared(lambda: learner.update(batch), products(learner, batch), repeats=15)
+    assert theirs is not None
+    note = f"{agent.batch} states, one thread"
+    return Row("an update of the network", mine * 1e3, "ms", "its bare matrix products", theirs * 1e3, None, 0.7, note)
+
+
+def products(learner: Learner, batch: Transitions) -> Callable[[], None]:
+    """Return work that does the matrix products of an update with a batch, and nothing else.
+
+    Both networks' values of what follows, the online one's of the states, and the gradients of its weights and of what
+    the layers but the first see.
+    """
+    states = 1 + int((batch.observations[1:] != batch.observations[:-1]).any(axis=1).sum())
+    follows = int((~(batch.terminated | batch.undone)).sum())
+    weights = [weight.detach() for weight, _ in learner.online.weights]
+    after, before = ([torch.ones(count, weight.shape[1]) for weight in weights] for count in (follows, states))
+    slopes = [torch.ones(states, len(weight)) for weight in weights]
+    values_after, values = ([torch.empty(count, len(weight)) for weight in weights] for count in (follows, states))
+    of_weights, of_inputs = (
+        [torch.empty_like(weight) for weight in weights],
+        [torch.empty_like(seen) for seen in before],
+    )
+
+    def work() -> None:
+        for layer, weight in enumerate(weights):
+            for _ in range(2):
+                torch.mm(after[layer], weight.t(), out=values_after[layer])
+            torch.mm(before[layer], weight.t(), out=values[layer])
+            torch.mm(slopes[layer].t(), before[layer], out=of_weights[layer])
+            if layer:
+                torch.mm(slopes[layer], weight, out=of_inputs[layer])
+
+    return work
+
+
+def learning_rows(task: str, folder: Path, *, long: bool) -> list[Row]:
+    """Return the rows of learning a task: its time and deviation beside a peer's, and that of the whole process."""
+    itself, whole = _BARS[task]
+    peer = "Stable-Baselines3 DQN"
+    names = f"{task}: learning itself", f"{task}: deviation of the path", f"{task}: `koopdqn train`, all of it"
+    if not long:
+        return [
+            Row(names[0], None, "s", peer, NOT_MEASURED, itself, _LEAST_RATIO),
+            Row(names[1], None, "mm", peer, NOT_MEASURED, None, 1.0),
+            Row(names[2], None, "s", "learning itself", NOT_MEASURED, whole),
+        ]
+    prepared = prepare(task)
+    began = time.perf_counter()
+    trainer = prepared.trainer()
+    trainer.run()
+    seconds = time.perf_counter() - began
+    deviation, success = prepared.deviation(trainer.policy, trainer.step_limit)
+    note = f"{'learned' if trainer.learned else 'NOT learned'}, {success:.0%} of held-out starts"
+    their_seconds: float | str = NOT_INSTALLED
+    their_deviation: float | str = NOT_INSTALLED
+    if installed("stable_baselines3") and installed("gymnasium"):
+        from benchmarks.peer_dqn import learn
+
+        found = learn(prepared, trainer.step_limit)
+        their_deviation, their_success = prepared.deviation(found.policy, trainer.step_limit)
+        their_seconds = found.seconds if found.learned else f"not learned in {found.seconds:.0f} s"
+        note += f"; theirs {their_success:.0%} after {found.steps:,} actions"
+    process = _process_seconds(["train", f"task={task}", f"out={folder / task}"])
+    return [
+        Row(names[0], seconds, "s", peer, their_seconds, itself, _LEAST_RATIO, note),
+        Row(names[1], deviation, "mm", peer, their_deviation, None, 1.0, "mean, points matched by arc length"),
+        Row(names[2], process, "s", "learning itself", seconds, whole, note="start-up, demonstrations and fit too"),
+    ]
+
+
+def _process_seconds(arguments: Sequence[str]) -> float:
+    began = time.perf_counter()
+    subprocess.run([str(Path(sys.executable).with_name("koopdqn")), *arguments], check=True, capture_output=True)
+    return time.perf_counter() - began
