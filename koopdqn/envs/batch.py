@@ -122,10 +122,13 @@ class Batch:
         reached = evaluation.reached[rows, actions[rows]]
         motions = env.workcell.reachability.move_batch(reached, env.episodes.joints[rows])
         before = env.episodes.steps.copy()
-        for row, action, motion in zip(rows.tolist(), actions[rows].tolist(), motions, strict=True):
-            if env.feedback.changes > changes:
-                # What an answer has taught holds for the next episode already.
-                evaluation, changes = env.evaluate_actions(), env.feedback.changes
+        for place, (row, action, motion) in enumerate(zip(rows.tolist(), actions[rows].tolist(), motions, strict=True)):
+            if env.feedback.changes > changes and not evaluation.known[row, action]:
+                # What an answer has taught already may settle what is still to be asked; the rest stands as it was.
+                left = rows[place:]
+                open_rows = left[~evaluation.known[left, actions[left]]]
+                evaluation.renew(open_rows, env.evaluate_actions(open_rows))
+                changes = env.feedback.changes
             attempt = env.try_action(row, action, evaluation, motion)
             if attempt.reward is not None:
                 steps.rewards[row] = attempt.reward
