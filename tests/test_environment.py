@@ -8,6 +8,7 @@ from absl.testing import absltest
 from dm_env import test_utils
 from parts import Clerk
 
+from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.envs.dm import KoopmanEnvironment
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.base import Question
@@ -34,7 +35,7 @@ def make(workcell: Workcell, reward: IntentReward) -> Make:
         trusting: bool = False,
     ) -> KoopmanEnvironment:
         chosen = reward if trusting else untrusting(reward)
-        return KoopmanEnvironment(workcell, chosen, Clerk(rule), limit, seed)
+        return KoopmanEnvironment(EnvironmentParts(workcell, chosen, Clerk(rule), limit), seed)
 
     return environment
 
@@ -48,7 +49,7 @@ class TestProtocol(test_utils.EnvironmentTestMixin, absltest.TestCase):  # type:
 
     def make_object_under_test(self) -> KoopmanEnvironment:
         oracle = ScriptedOracle(self._workcell.task)
-        return KoopmanEnvironment(self._workcell, self._reward, oracle, 60, 0)
+        return KoopmanEnvironment(EnvironmentParts(self._workcell, self._reward, oracle, 60), 0)
 
 
 def test_a_right_action_moves_and_a_wrong_one_is_undone(make: Make) -> None:
@@ -78,7 +79,7 @@ def test_a_skipped_question_is_no_no_and_moves_nothing(make: Make) -> None:
 
 def test_a_skipped_question_is_no_step_of_the_clock(make: Make, workcell: Workcell, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: None)
-    environment = KoopmanEnvironment(workcell, untrusting(reward), clerk, 50, 0)
+    environment = KoopmanEnvironment(EnvironmentParts(workcell, untrusting(reward), clerk, 50), 0)
     environment.reset()
     for action in AXES:
         environment.step(action)
@@ -87,7 +88,7 @@ def test_a_skipped_question_is_no_step_of_the_clock(make: Make, workcell: Workce
 
 def test_actions_by_rule_are_wrong_without_asking(workcell: Workcell, reward: IntentReward) -> None:
     clerk = Clerk()
-    environment = KoopmanEnvironment(workcell, untrusting(reward), clerk, 50, 0)
+    environment = KoopmanEnvironment(EnvironmentParts(workcell, untrusting(reward), clerk, 50), 0)
     environment.reset()
     start = environment.pose
     for action in (0, 2, 3):
@@ -99,7 +100,7 @@ def test_actions_by_rule_are_wrong_without_asking(workcell: Workcell, reward: In
 def test_what_the_arm_cannot_do_is_wrong_without_asking(workcell: Workcell, reward: IntentReward) -> None:
     """Always right and always +y ends at the shelf: the side wall is never entered."""
     clerk = Clerk()
-    environment = KoopmanEnvironment(workcell, untrusting(reward), clerk, 1000, 0)
+    environment = KoopmanEnvironment(EnvironmentParts(workcell, untrusting(reward), clerk, 1000), 0)
     environment.reset()
     rewards = [environment.step(6).reward for _ in range(120)]
     assert rewards[0] == 1.0
@@ -114,7 +115,7 @@ def test_what_the_arm_cannot_do_is_wrong_without_asking(workcell: Workcell, rewa
 
 def test_the_goal_terminates_with_discount_zero(workcell: Workcell, reward: IntentReward) -> None:
     task = workcell.task
-    environment = KoopmanEnvironment(workcell, reward, ScriptedOracle(task), 3000, 3)
+    environment = KoopmanEnvironment(EnvironmentParts(workcell, reward, ScriptedOracle(task), 3000), 3)
     timestep = environment.reset()
     for _ in range(1000):
         judged = reward.evaluate_actions(environment.pose[None], np.array([0]))
@@ -149,7 +150,7 @@ def test_a_step_before_a_reset_is_a_reset(make: Make) -> None:
 
 def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward: IntentReward) -> None:
     clerk = Clerk()
-    environment = KoopmanEnvironment(workcell, untrusting(reward), clerk, 50, 0)
+    environment = KoopmanEnvironment(EnvironmentParts(workcell, untrusting(reward), clerk, 50), 0)
     for episode in range(2):
         environment.reset()
         before = environment.pose
@@ -170,7 +171,7 @@ def test_questions_tell_all_and_number_their_episodes(workcell: Workcell, reward
 def test_where_the_model_is_trusted_nobody_is_asked(workcell: Workcell, reward: IntentReward) -> None:
     sure = IntentReward(reward.task, reward.model, replace(reward.trust, doubt=0 * reward.trust.doubt), reward.settings)
     clerk = Clerk()
-    environment = KoopmanEnvironment(workcell, sure, clerk, 100, 1)
+    environment = KoopmanEnvironment(EnvironmentParts(workcell, sure, clerk, 100), 1)
     environment.reset()
     for _ in range(30):
         judged = sure.evaluate_actions(environment.pose[None], np.array([0]))
@@ -219,5 +220,5 @@ def test_the_pose_given_out_is_a_copy(make: Make) -> None:
 
 def test_closing_closes_the_oracle(workcell: Workcell, reward: IntentReward) -> None:
     clerk = Clerk()
-    KoopmanEnvironment(workcell, reward, clerk, 5, 0).close()
+    KoopmanEnvironment(EnvironmentParts(workcell, reward, clerk, 5), 0).close()
     assert clerk.closed

@@ -10,6 +10,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed, explain
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import generate as generate_demonstrations
+from koopdqn.errors import BadInputError
 from koopdqn.evaluation.evaluate import Evaluation
 from koopdqn.evaluation.evaluate import evaluate as evaluate_policy
 from koopdqn.intent.fit import Fitted, agent_steps
@@ -20,6 +21,7 @@ from koopdqn.tasks.workcell import Workcell
 from koopdqn.tasks.workcell import open_workcell as open_scene
 
 if TYPE_CHECKING:
+    from koopdqn.envs.batch import EnvironmentParts
     from koopdqn.envs.dm import KoopmanEnvironment
     from koopdqn.rl.history import Check, History
     from koopdqn.rl.policy import Policy
@@ -75,13 +77,16 @@ def open_workcell(config: Configuration) -> Workcell:
 
 
 def generate(config: Configuration) -> Demonstrations:
-    """Return the demonstrations of the scripted person, or those of ``demos=`` where the task is made from them.
+    """Return the demonstrations of ``demos=``, or, where it names none, those of the scripted person.
 
     Raises:
-        BadInputError: a person is to demonstrate, which only ``koopdqn demo`` lets them do.
+        BadInputError: a file is damaged, of another task or out of the arm's reach; or a person is to demonstrate,
+            which only ``koopdqn demo`` lets them do.
     """
     if config.derived is not None:
         return config.derived.training
+    if config.inputs.demos:
+        return pipeline.demonstrations_read(config, config.inputs.demos)
     pipeline.check_scripted(config)
     seed = config.inputs.seed
     return generate_demonstrations(config.task, open_workcell(config).reachability, config.demo, seed).demonstrations
@@ -156,19 +161,39 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
     )
 
 
+def environment_parts(
+    config: Configuration, demonstrations: Demonstrations, fitted: Fitted, oracle: Oracle | None = None
+) -> "EnvironmentParts":
+    """Return what an environment for another learner consists of.
+
+    Raises:
+        BadInputError: questions are to be put off, which nothing but koopdqn's own training does.
+    """
+    from koopdqn.envs.batch import EnvironmentParts
+    from koopdqn.rl.human_reward import Budget
+
+    if config.oracle.ask != "at_once":
+        raise BadInputError(f"oracle.ask: must be at_once in an environment, found {config.oracle.ask}")
+    workcell = open_workcell(config)
+    longest = max(len(rows) for rows in agent_steps(demonstrations, config.task))
+    return EnvironmentParts(
+        workcell,
+        intent_reward(config, fitted),
+        oracle or config.oracle.open(workcell, config.inputs.seed, Path()),
+        int(config.train.step_limit_factor * longest),
+        config.feedback,
+        Budget(config.oracle.budget, config.oracle.when_spent),
+    )
+
+
 def make_env(
     config: Configuration, demonstrations: Demonstrations, fitted: Fitted, oracle: Oracle | None = None
 ) -> "KoopmanEnvironment":
-    """Return the environment that training uses, as dm_env knows it, for another learner."""
+    """Return the environment that training uses, as dm_env knows it, for another learner.
+
+    Raises:
+        BadInputError: questions are to be put off, which nothing but koopdqn's own training does.
+    """
     from koopdqn.envs.dm import KoopmanEnvironment
 
-    workcell, seed = open_workcell(config), config.inputs.seed
-    longest = max(len(rows) for rows in agent_steps(demonstrations, config.task))
-    return KoopmanEnvironment(
-        workcell,
-        intent_reward(config, fitted),
-        oracle or config.oracle.open(workcell, seed, Path()),
-        int(config.train.step_limit_factor * longest),
-        seed,
-        config.feedback,
-    )
+    return KoopmanEnvironment(environment_parts(config, demonstrations, fitted, oracle), config.inputs.seed)

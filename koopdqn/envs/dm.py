@@ -1,23 +1,16 @@
 """The environment as dm_env knows it: one episode, one action at a time."""
 
+from functools import cached_property
 from typing import Any
 
 import dm_env
 import numpy as np
 from dm_env import specs
 
-from koopdqn.intent.reward import IntentReward
-from koopdqn.oracles.base import Oracle
-from koopdqn.rl.answers import FeedbackSettings
-from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.network import observe, size
-from koopdqn.rl.starts import StartSampler
-from koopdqn.rl.vector_env import VectorEnv
+from koopdqn.envs.batch import Batch, EnvironmentParts
+from koopdqn.pose import Array
+from koopdqn.rl.network import size
 from koopdqn.tasks.actions import COUNT
-from koopdqn.tasks.workcell import Workcell
-
-ANSWERS_ALONE = FeedbackSettings(remember_m=0.0, remember_rad=0.05, extend=False, reach_m=0.07)
-"""An answer is the reward of the action asked about and nothing more."""
 
 
 class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is untyped
@@ -26,50 +19,36 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
     A wrong action is rewarded negatively and undone: the next observation is that of the pose before it, and
     the agent can try another. An action that the arm cannot take counts as wrong without asking. An episode
     ends with discount 0 at the goal, and with discount 1 when it is cut at its step limit. It is one episode of
-    :class:`~koopdqn.rl.vector_env.VectorEnv`, which training uses.
+    :class:`~koopdqn.rl.vector_env.VectorEnv`, which training uses. ``dm_control.viewer`` opens it.
     """
 
-    def __init__(
-        self,
-        workcell: Workcell,
-        reward: IntentReward,
-        oracle: Oracle,
-        step_limit: int,
-        seed: int,
-        feedback: FeedbackSettings = ANSWERS_ALONE,
-    ) -> None:
-        """Make the environment.
-
-        Args:
-            workcell: task, arm and scene.
-            reward: the task's reward function.
-            oracle: who answers where the intent model is not trusted.
-            step_limit: actions tried after which an episode is cut.
-            seed: of the starts.
-            feedback: what is made of answers beyond the reward of the action asked about.
-        """
-        starts = StartSampler(workcell.task, workcell.reachability, reward.model.start_frame, [], step_limit=step_limit)
-        rng = np.random.default_rng([seed, 5])
-        self._task = workcell.task
-        self._frame = reward.model.start_frame
-        self._oracle = oracle
-        self._env = VectorEnv(workcell, Feedback(reward, oracle, feedback), starts, 1, rng)
-        self._step_limit = step_limit
-        self._tries = 0
+    def __init__(self, parts: EnvironmentParts, seed: int) -> None:
+        """Make the environment of its parts; ``seed`` is of the starts."""
+        self._parts = parts
+        self._batch = Batch(parts, 1, np.random.default_rng([seed, 5]))
+        self._fresh = True
         self._running = False
 
     @property
-    def pose(self) -> np.ndarray:
+    def pose(self) -> Array:
         """The flange's present pose (7,)."""
-        return np.array(self._env.episodes.poses[0])
+        return np.asarray(self._batch.poses[0])
+
+    @cached_property
+    def physics(self) -> Any:
+        """The scene as ``dm_control.viewer`` shows it; the arm in it follows the episode, and nothing else moves."""
+        from dm_control.mujoco import Physics, wrapper
+
+        return Physics.from_model(wrapper.MjModel(self._parts.workcell.scene.model))
 
     def reset(self) -> dm_env.TimeStep:
         """Begin an episode somewhere in the start region."""
-        if self._running or self._tries:
-            self._env.begin(0)
-        self._tries = 0
+        if not self._fresh:
+            self._batch.begin(0)
+        self._fresh = False
         self._running = True
-        return dm_env.restart(self._observation())
+        self._show(None)
+        return dm_env.restart(self._batch.observations()[0])
 
     def step(self, action: Any) -> dm_env.TimeStep:
         """Try an action (an index in Table 1, from 0); a skipped question brings reward 0 and moves nothing.
@@ -80,23 +59,19 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         """
         if not self._running:
             return self.reset()
-        index = int(action)
-        if not 0 <= index < COUNT:
-            raise ValueError(f"action must be from 0 to {COUNT - 1}, found {index}")
-        attempt = self._env.try_action(0, index, self._env.evaluate_actions())
-        self._tries += 1
-        reward = attempt.reward or 0.0
-        if attempt.at_goal:
-            self._running = False
-            return dm_env.termination(reward, self._observation())
-        if attempt.truncated or self._tries >= self._step_limit:
-            self._running = False
-            return dm_env.truncation(reward, self._observation())
-        return dm_env.transition(reward, self._observation())
+        steps = self._batch.step(np.array([int(action)]))
+        self._show(self._parts.workcell.reachability.step_seconds)
+        reward, observation = float(steps.rewards[0]), self._batch.observations()[0]
+        self._running = not (steps.terminated[0] or steps.truncated[0])
+        if steps.terminated[0]:
+            return dm_env.termination(reward, observation)
+        if steps.truncated[0]:
+            return dm_env.truncation(reward, observation)
+        return dm_env.transition(reward, observation)
 
     def observation_spec(self) -> specs.Array:
         """Return the observation's shape: (5,) with orientation held, (8,) otherwise."""
-        return specs.Array((size(self._task),), np.float32, name="observation")
+        return specs.Array((size(self._parts.workcell.task),), np.float32, name="observation")
 
     def action_spec(self) -> specs.DiscreteArray:
         """Return the ten actions."""
@@ -104,8 +79,13 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
 
     def close(self) -> None:
         """Close the oracle."""
-        self._oracle.close()
+        self._parts.oracle.close()
 
-    def _observation(self) -> np.ndarray:
-        episodes = self._env.episodes
-        return np.array(observe(self._frame.placed(episodes.poses, episodes.starts), self._task)[0])
+    def _show(self, elapsed: float | None) -> None:
+        """Let :attr:`physics`, if anybody looks at it, follow the arm; ``elapsed`` [s] is None for a new episode."""
+        if "physics" not in self.__dict__:
+            return
+        data = self.physics.data
+        data.time = 0.0 if elapsed is None else data.time + elapsed
+        data.qpos[self._parts.workcell.scene.joint_index] = self._batch.joints[0]
+        self.physics.forward()

@@ -90,6 +90,11 @@ class ActionEvaluation:
         self.answer[row, action] = answer
         self.known[row, action] = True
 
+    def renew(self, rows: np.ndarray, evaluation: "ActionEvaluation") -> None:
+        """Put what another evaluation says of M poses in place of what is known of them, by their rows (M,)."""
+        for name in self.__dataclass_fields__:
+            getattr(self, name)[rows] = getattr(evaluation, name)
+
 
 class IntentReward:
     """The reward function of a task with a fitted intent.

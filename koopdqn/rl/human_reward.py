@@ -106,10 +106,13 @@ class Feedback:
     def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
         """Return what is known without asking, answers included; see :meth:`IntentReward.evaluate_actions`."""
         evaluation = self.reward.evaluate_actions(poses, steps, starts)
-        places = self.answers.recall(evaluation.placed, evaluation.margin)
-        recalled = (places >= 0) & ~evaluation.known
-        for row, action in np.argwhere(recalled):
-            place, at_goal = places[row, action], bool(evaluation.at_goal[row, action])
+        # What answers say matters only where something is not known anyway.
+        rows = np.flatnonzero(~evaluation.known.all(axis=1))
+        places = self.answers.recall(evaluation.placed[rows], evaluation.margin[rows])
+        recalled = (places >= 0) & ~evaluation.known[rows]
+        for index, action in np.argwhere(recalled):
+            row, place = rows[index], places[index, action]
+            at_goal = bool(evaluation.at_goal[row, action])
             reward = self.reward.value(self.answers.right[place], at_goal)
             evaluation.set_label(row, action, reward, REMEMBERED, self.answers.numbers[place])
         return evaluation

@@ -163,10 +163,10 @@ class VectorEnv:
         self.episodes.begin(index, self.begun, self._starts.draw(self._rng))
         self.begun += 1
 
-    def evaluate_actions(self) -> ActionEvaluation:
-        """Return what is known of all actions from where the episodes are."""
-        here = self.episodes
-        return self.feedback.evaluate_actions(here.poses.copy(), here.steps.copy(), here.starts.copy())
+    def evaluate_actions(self, rows: np.ndarray | None = None) -> ActionEvaluation:
+        """Return what is known of all actions from where the episodes are, or those whose indices are ``rows``."""
+        here, each = self.episodes, slice(None) if rows is None else rows
+        return self.feedback.evaluate_actions(*(held[each].copy() for held in (here.poses, here.steps, here.starts)))
 
     def try_action(
         self,

@@ -1,6 +1,7 @@
 """Scenes: an arm, what it holds and what stands around it, composed with dm_control and run by MuJoCo."""
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -137,6 +138,16 @@ class Scene:
         self._payload = [i for i, name in enumerate(names) if "payload_" in name]
         fixed = [i for i in range(model.ngeom) if model.geom_bodyid[i] == 0 and model.geom_contype[i]]
         self._furniture = [i for i in fixed if names[i] != _FLOOR]
+
+    @cached_property
+    def reach(self) -> float:
+        """A distance [m] from the base's origin that the flange never exceeds: its links' lengths laid end to end."""
+        body = int(self.model.site_bodyid[self._site])
+        length = float(np.linalg.norm(self.model.site_pos[self._site]))
+        while body:
+            length += float(np.linalg.norm(self.model.body_pos[body]))
+            body = int(self.model.body_parentid[body])
+        return length
 
     def place(self, joints: Array) -> None:
         """Set the arm to joint angles (6,) [rad] and update where everything is."""

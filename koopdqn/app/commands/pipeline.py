@@ -154,13 +154,23 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
     kept = folder / DEMONSTRATIONS
     sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
     if sources:
-        demonstrations = read_demonstrations(sources, config.task.name, config.robot.name)
-        _check_reach(config, demonstrations)
+        demonstrations = demonstrations_read(config, sources)
     else:
         demonstrations, _ = new_demonstrations(config, workcell)
     _check_kept(kept, demonstrations, sources)
     if not kept.exists():
         write_hdf5(kept, demonstrations)
+    return demonstrations
+
+
+def demonstrations_read(config: Configuration, sources: Sequence[str]) -> Demonstrations:
+    """Return the demonstrations of files, which the arm can reach.
+
+    Raises:
+        BadInputError: a file is damaged or of another task, or the arm cannot reach all of it.
+    """
+    demonstrations = read_demonstrations(sources, config.task.name, config.robot.name)
+    _check_reach(config, demonstrations)
     return demonstrations
 
 

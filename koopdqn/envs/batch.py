@@ -1,0 +1,140 @@
+"""Episodes that another library steps, all at once: what every face of the environment shares."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopdqn.intent.reward import SOURCES, IntentReward
+from koopdqn.oracles.base import Oracle
+from koopdqn.pose import Array
+from koopdqn.rl.answers import FeedbackSettings
+from koopdqn.rl.human_reward import Budget, Feedback
+from koopdqn.rl.network import observe
+from koopdqn.rl.starts import StartSampler
+from koopdqn.rl.vector_env import VectorEnv
+from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.workcell import Workcell
+
+NO_REWARD: Final = len(SOURCES)
+"""Stands for the source of a reward of 0 that is none: nobody answered."""
+SOURCE_NAMES: Final = np.array([*SOURCES, "none"])
+"""Names of the sources of rewards, by their numbers."""
+
+ANSWERS_ALONE = FeedbackSettings(remember_m=0.0, remember_rad=0.05, extend=False, reach_m=0.07)
+"""An answer is the reward of the action asked about and nothing more."""
+
+
+@dataclass(frozen=True)
+class EnvironmentParts:
+    """What an environment consists of.
+
+    Attributes:
+        workcell: task, arm and scene.
+        reward: the task's reward function.
+        oracle: who answers where the intent model is not trusted.
+        step_limit: actions tried after which an episode is cut.
+        feedback: what is made of answers beyond the reward of the action asked about.
+        budget: how many questions may be asked; one more brings reward 0 and moves nothing.
+    """
+
+    workcell: Workcell
+    reward: IntentReward
+    oracle: Oracle
+    step_limit: int
+    feedback: FeedbackSettings = ANSWERS_ALONE
+    budget: Budget = Budget()  # noqa: RUF009 (frozen)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What came of one action in each of N episodes; of an episode that tried none everything is 0 or false.
+
+    Attributes:
+        rewards: (N,) rewards; 0 where a question was skipped.
+        terminated: (N,) whether the goal was reached.
+        truncated: (N,) whether the episode was cut at its step limit.
+        undone: (N,) whether the arm is where it was before: the action was wrong, or nobody answered.
+        sources: (N,) where each reward comes from, a number in :data:`SOURCE_NAMES`.
+    """
+
+    rewards: Array
+    terminated: np.ndarray
+    truncated: np.ndarray
+    undone: np.ndarray
+    sources: np.ndarray
+
+
+class Batch:
+    """N episodes of :class:`~koopdqn.rl.vector_env.VectorEnv`, which training uses, with an action tried in each."""
+
+    def __init__(self, parts: EnvironmentParts, count: int, rng: np.random.Generator) -> None:
+        """Begin ``count`` episodes in the start region, drawn from ``rng``; no answer is known."""
+        workcell, reward, limit = parts.workcell, parts.reward, parts.step_limit
+        self._task = workcell.task
+        self._frame = reward.model.start_frame
+        self._limit = limit
+        self._tries = np.zeros(count, dtype=np.int64)
+        starts = StartSampler(self._task, workcell.reachability, self._frame, [], step_limit=limit)
+        feedback = Feedback(reward, parts.oracle, parts.feedback, parts.budget)
+        self._env = VectorEnv(workcell, feedback, starts, count, rng)
+
+    @property
+    def poses(self) -> Array:
+        """The flange's present poses (N, 7)."""
+        return self._env.episodes.poses.copy()
+
+    @property
+    def joints(self) -> Array:
+        """The arm's present joint angles (N, 6) [rad]."""
+        return self._env.episodes.joints.copy()
+
+    def begin(self, index: int) -> None:
+        """Begin another episode at ``index``."""
+        self._env.begin(index)
+        self._tries[index] = 0
+
+    def observations(self) -> NDArray[np.float32]:
+        """Return the agent's observations, (N, 5) with orientation held and (N, 8) otherwise."""
+        episodes = self._env.episodes
+        return observe(self._frame.placed(episodes.poses, episodes.starts), self._task)
+
+    def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Steps:
+        """Try an action in each episode: labels, inverse kinematics and collisions of all at once.
+
+        Args:
+            actions: (N,) indices in Table 1, from 0.
+            active: (N,) which episodes try theirs; None for all.
+
+        Raises:
+            ValueError: an action is none of the ten.
+            PauseRequested: who answers wants to go on another time.
+        """
+        strange = (actions < 0) | (actions >= COUNT)
+        if strange.any():
+            raise ValueError(f"action must be from 0 to {COUNT - 1}, found {actions[strange][0]}")
+        env, count = self._env, len(self._tries)
+        terminated, truncated, undone = np.zeros((3, count), dtype=bool)
+        steps = Steps(np.zeros(count), terminated, truncated, undone, np.full(count, NO_REWARD))
+        rows = np.arange(count) if active is None else np.flatnonzero(active)
+        evaluation, changes = env.evaluate_actions(), env.feedback.changes
+        reached = evaluation.reached[rows, actions[rows]]
+        motions = env.workcell.reachability.move_batch(reached, env.episodes.joints[rows])
+        before = env.episodes.steps.copy()
+        for place, (row, action, motion) in enumerate(zip(rows.tolist(), actions[rows].tolist(), motions, strict=True)):
+            if env.feedback.changes > changes and not evaluation.known[row, action]:
+                # What an answer has taught already may settle what is still to be asked; the rest stands as it was.
+                left = rows[place:]
+                open_rows = left[~evaluation.known[left, actions[left]]]
+                evaluation.renew(open_rows, env.evaluate_actions(open_rows))
+                changes = env.feedback.changes
+            attempt = env.try_action(row, action, evaluation, motion)
+            if attempt.reward is not None:
+                steps.rewards[row] = attempt.reward
+                steps.sources[row] = evaluation.source[row, action]
+            steps.terminated[row], steps.truncated[row] = attempt.at_goal, attempt.truncated
+        self._tries[rows] += 1
+        steps.undone[rows] = env.episodes.steps[rows] == before[rows]
+        steps.truncated[rows] |= ~steps.terminated[rows] & (self._tries[rows] >= self._limit)
+        return steps

@@ -1,0 +1,124 @@
+"""koopdqn for Gymnasium: importing this module registers its environments.
+
+``gymnasium.make("koopdqn/Shelf-v0")``, ``"koopdqn/Knife-v0"`` and ``"koopdqn/Demonstrated-v0"``, and
+``gymnasium.make_vec`` of the same names for many episodes at once. All take the keywords of :func:`make`.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from koopdqn.errors import BadInputError
+from koopdqn.files import digest
+
+try:
+    import gymnasium
+except ImportError as error:
+    raise BadInputError("koopdqn.gym needs Gymnasium, found none: pip install 'koopdqn[gym]'") from error
+
+if TYPE_CHECKING:
+    from koopdqn.app.commands.configuration import Configuration
+    from koopdqn.demonstrations.dataset import Demonstrations
+    from koopdqn.envs.batch import EnvironmentParts
+    from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv
+    from koopdqn.intent.fit import Fitted
+    from koopdqn.oracles.base import Oracle
+
+TASKS: Final = {"koopdqn/Shelf-v0": "shelf", "koopdqn/Knife-v0": "knife", "koopdqn/Demonstrated-v0": "demonstrated"}
+"""The task of each environment by its name."""
+
+for _name, _task in TASKS.items():
+    gymnasium.register(_name, f"{__name__}:make", vector_entry_point=f"{__name__}:make_vector", kwargs={"task": _task})
+
+
+def make(
+    task: str,
+    overrides: Sequence[str] = (),
+    demonstrations: str | Path | Sequence[str | Path] | None = None,
+    oracle: "Oracle | None" = None,
+    config_dir: str | Path | None = None,
+    **keywords: Any,
+) -> "KoopmanEnv":
+    """Return the environment of one episode at a time.
+
+    Demonstrations are read, or generated, and the intent is fitted to them; within a process each is made once.
+
+    Args:
+        task: an option of the config group ``task``.
+        overrides: of the config, in Hydra's grammar, such as ``("seed=3", "demo.count=3")``.
+        demonstrations: files, as ``demos=`` names them on the command line; ``Demonstrated-v0`` must have some.
+        oracle: who answers where the intent is not trusted; None for the config's, which is the scripted person.
+        config_dir: a folder of own options, searched beside koopdqn's.
+        keywords: ``render_mode``, which is ``rgb_array`` or ``human``.
+
+    Raises:
+        BadInputError: an override or file cannot be used, or ``render_mode`` is none.
+    """
+    from koopdqn.envs.gym import KoopmanEnv
+
+    return KoopmanEnv(environment_parts(task, overrides, demonstrations, oracle, config_dir), **keywords)
+
+
+def make_vector(
+    num_envs: int,
+    task: str,
+    overrides: Sequence[str] = (),
+    demonstrations: str | Path | Sequence[str | Path] | None = None,
+    oracle: "Oracle | None" = None,
+    config_dir: str | Path | None = None,
+    **keywords: Any,
+) -> "KoopmanVectorEnv":
+    """Return the environment of ``num_envs`` episodes at once; see :func:`make`.
+
+    ``keywords`` may hold ``autoreset_mode`` too, and ``render_mode`` is ``rgb_array`` only.
+    """
+    from koopdqn.envs.gym import KoopmanVectorEnv
+
+    return KoopmanVectorEnv(
+        environment_parts(task, overrides, demonstrations, oracle, config_dir), num_envs, **keywords
+    )
+
+
+def environment_parts(
+    task: str,
+    overrides: Sequence[str] = (),
+    demonstrations: str | Path | Sequence[str | Path] | None = None,
+    oracle: "Oracle | None" = None,
+    config_dir: str | Path | None = None,
+) -> "EnvironmentParts":
+    """Return what the environment of a task consists of; see :func:`make`."""
+    from koopdqn.app import api
+
+    config = api.load_config(f"task={task}", *_demos(demonstrations), *overrides, config_dir=config_dir)
+    return api.environment_parts(config, *_fitted(config), oracle)
+
+
+_FITTED: "dict[str, tuple[Demonstrations, Fitted]]" = {}
+
+
+def _fitted(config: "Configuration") -> "tuple[Demonstrations, Fitted]":
+    """Return the demonstrations of a config and the intent fitted to them, of this process's earlier ones if equal."""
+    from koopdqn.app import api
+    from koopdqn.artifact import described
+
+    read = api.generate(config) if config.inputs.demos else None
+    parts = ("task", "robot", "demo", "intent", "trust", "reward")
+    shaped_by = {name: described(getattr(config, name)) for name in parts}
+    key = digest({**shaped_by, "seed": config.inputs.seed, "demonstrations": read.digest() if read else None})
+    if key not in _FITTED:
+        shown = read or api.generate(config)
+        _FITTED[key] = shown, api.fit(config, shown)
+    return _FITTED[key]
+
+
+def _demos(files: str | Path | Sequence[str | Path] | None) -> list[str]:
+    """Return the override that names files of demonstrations, in Hydra's grammar."""
+    if files is None:
+        return []
+    named = [files] if isinstance(files, str | Path) else files
+    return [f"demos=[{','.join(_quoted(str(each)) for each in named)}]"]
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
