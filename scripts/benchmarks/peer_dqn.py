@@ -2,21 +2,22 @@
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.wrappers import TransformObservation
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 
-from koopdqn.envs.dm import KoopmanEnvironment
+from koopdqn.envs.batch import EnvironmentParts
+from koopdqn.envs.gym import KoopmanEnv, Observations
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.checks import Checker, Progress
 from koopdqn.rl.history import Check
 from koopdqn.rl.network import observe
-from koopdqn.tasks.actions import COUNT
 
 if TYPE_CHECKING:
     from benchmarks.learning import Prepared
@@ -43,32 +44,14 @@ class Learned:
     steps: int
 
 
-class PeerEnvironment(gymnasium.Env):  # type: ignore[misc]  # the peer is not followed
-    """Our environment as Gymnasium knows it, its observations normalised as our network does."""
-
-    def __init__(self, prepared: "Prepared", step_limit: int, mean: Array, spread: Array) -> None:
-        """Make the environment."""
-        oracle = ScriptedOracle(prepared.config.task)
-        feedback = prepared.config.feedback
-        self._env = KoopmanEnvironment(prepared.workcell, prepared.reward, oracle, step_limit, 0, feedback)
-        self._mean, self._spread = mean, spread
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, mean.shape, np.float32)
-        self.action_space = gymnasium.spaces.Discrete(COUNT)
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
-        super().reset(seed=seed)
-        return self._normalised(self._env.reset().observation), {}
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Try an action."""
-        after = self._env.step(action)
-        over, arrived = after.last(), after.discount == 0.0
-        observation, reward = self._normalised(after.observation), float(after.reward)
-        return observation, reward, over and arrived, over and not arrived, {}
-
-    def _normalised(self, observation: Array) -> Any:
-        return ((observation - self._mean) / self._spread).astype(np.float32)
+def environment(prepared: "Prepared", step_limit: int, mean: Array, spread: Array) -> gymnasium.Env[Observations, np.int64]:
+    """Return our environment, its observations normalised as our network does."""
+    config = prepared.config
+    parts = EnvironmentParts(
+        prepared.workcell, prepared.reward, ScriptedOracle(config.task), step_limit, config.feedback
+    )
+    space = gymnasium.spaces.Box(-np.inf, np.inf, mean.shape, np.float32)
+    return TransformObservation(KoopmanEnv(parts), lambda seen: ((seen - mean) / spread).astype(np.float32), space)
 
 
 class PeerPolicy:
@@ -86,7 +69,7 @@ class PeerPolicy:
         return np.asarray(self._model.predict(normalised, deterministic=True)[0])
 
 
-class _Checks(BaseCallback):  # type: ignore[misc]  # the peer is not followed
+class _Checks(BaseCallback):
     """Checks as our trainer does, and stops when they say that the task is learned."""
 
     def __init__(self, prepared: "Prepared", policy: PeerPolicy, step_limit: int) -> None:
@@ -111,7 +94,7 @@ def learn(prepared: "Prepared", step_limit: int) -> Learned:
     began = time.perf_counter()
     model = DQN(
         "MlpPolicy",
-        PeerEnvironment(prepared, step_limit, mean, spread),
+        environment(prepared, step_limit, mean, spread),
         learning_rate=1e-3,
         buffer_size=agent.replay,
         learning_starts=1000,
