@@ -55,8 +55,13 @@ _COMMANDS = {
         ("koopdqn import demos=log.csv", "koopdqn import 'demos=logs/*.csv' out=runs/mine"),
     ),
     "export": (
-        "Write demonstrations as CSV.",
-        ("koopdqn export demos=runs/mine/demos.hdf5", "koopdqn export demos=demos.hdf5 export.rotation=vector"),
+        "Write a learned path as a robot program, or demonstrations as CSV.",
+        (
+            "koopdqn export run=DIR",
+            "koopdqn export run=DIR 'start=[0.52,-0.2,0.41,0.707,0,0.707,0]'",
+            "koopdqn export demos=runs/mine/demos.hdf5",
+            "koopdqn export demos=demos.hdf5 export.rotation=vector",
+        ),
     ),
 }
 """The commands that take a config: what each does, and examples."""

@@ -154,6 +154,10 @@ class Placement:
         """Return poses (N, 7) moved."""
         return pose.compose(np.broadcast_to(self._pose, poses.shape), poses)
 
+    def restored(self, poses: Array) -> Array:
+        """Return moved poses (N, 7) where they came from."""
+        return pose.compose(np.broadcast_to(pose.inverse(self._pose), poses.shape), poses)
+
     def __str__(self) -> str:
         """Return it for people."""
         x, y, z = np.round(self.offset, 4).tolist()

@@ -33,6 +33,7 @@ class Execution:
             compensates gravity, as the motor of the real joint supplies both.
         contact_steps: physics steps with a contact.
         first_contact: the first pair that touched, as "a with b", or an empty string.
+        contact_index: the row of ``joints`` at which it touched; S if nothing did.
         sag_mm: distance [mm] of the flange from the path's end after :data:`REST_SECONDS` at rest.
         joints: (S, 6) joint angles [rad] after every physics step of the motion.
         physics_seconds: time between two rows of ``joints`` [s].
@@ -43,6 +44,7 @@ class Execution:
     torque_ratio: float
     contact_steps: int
     first_contact: str
+    contact_index: int
     sag_mm: float
     joints: Array
     physics_seconds: float
@@ -65,18 +67,28 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
         BadInputError: the path has fewer than two rows, the time scale is below 1, or an actuator is no
             position actuator.
     """
-    if joints.ndim != 2 or joints.shape[1] != 6 or len(joints) < 2:
-        raise BadInputError(f"a joint path must have shape (T, 6) with T >= 2, found {joints.shape}")
     if time_scale < 1:
         raise BadInputError(f"time_scale must be at least 1, found {time_scale:g}")
+    _check_shape(joints)
+    return play(workcell, joints, time_scale * workcell.reachability.durations(joints))
+
+
+def play(workcell: Workcell, joints: Array, durations: Array) -> Execution:
+    """Play joint angles (T, 6) [rad] whose steps take ``durations`` (T − 1,) [s], as :func:`execute` does.
+
+    Raises:
+        BadInputError: the path has fewer than two rows, or an actuator is no position actuator.
+    """
+    _check_shape(joints)
     arm = workcell.arm
     scene = copy.copy(workcell.scene)
     scene.data = mujoco.MjData(scene.model)
     seconds = float(scene.model.opt.timestep)
-    commanded, speed = _set_points(joints, time_scale * workcell.reachability.durations(joints), seconds)
+    commanded, speed = _set_points(joints, durations, seconds)
     led = commanded + _lag(scene) * speed
     made, speeds, torques = (np.empty((len(led) - 1, 6)) for _ in range(3))
     touched: list[str] = []
+    first = len(made)
     data = scene.data
     data.qpos[scene.joint_index] = joints[0]
     for index in range(len(led) - 1):
@@ -86,6 +98,7 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
         torques[index] = (data.qfrc_actuator + data.qfrc_gravcomp)[scene.velocity_index]
         if contact := scene.current_contact():
             touched.append(contact)
+            first = min(first, index)
     data.ctrl[scene.actuator_index] = joints[-1]
     mujoco.mj_step(scene.model, data, nstep=math.ceil(REST_SECONDS / seconds))
     at_rest = arm.forward(data.qpos[scene.joint_index])
@@ -96,10 +109,16 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
         torque_ratio=float((np.abs(torques) / np.array(arm.torque_limits)).max()),
         contact_steps=len(touched),
         first_contact=touched[0] if touched else "",
+        contact_index=first,
         sag_mm=float(pose.position_distance(at_rest, arm.forward(joints[-1]))) * _MILLIMETRES,
         joints=made,
         physics_seconds=seconds,
     )
+
+
+def _check_shape(joints: Array) -> None:
+    if joints.ndim != 2 or joints.shape[1] != 6 or len(joints) < 2:
+        raise BadInputError(f"a joint path must have shape (T, 6) with T >= 2, found {joints.shape}")
 
 
 def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:

@@ -44,7 +44,9 @@ class Learned:
     steps: int
 
 
-def environment(prepared: "Prepared", step_limit: int, mean: Array, spread: Array) -> gymnasium.Env[Observations, np.int64]:
+def environment(
+    prepared: "Prepared", step_limit: int, mean: Array, spread: Array
+) -> gymnasium.Env[Observations, np.int64]:
     """Return our environment, its observations normalised as our network does."""
     config = prepared.config
     parts = EnvironmentParts(

@@ -16,7 +16,7 @@ _COMMANDS: Final = {
     "eval": ("eval.run", ("demos", "intent_file")),
     "report": ("report.run", ("run", "demos", "intent_file")),
     "import": ("demonstrations.import_", ("run", "intent_file")),
-    "export": ("demonstrations.export", ("run", "intent_file")),
+    "export": ("demonstrations.export", ("intent_file",)),
 }
 """Where each command is, and the inputs of others that would change nothing here."""
 
@@ -59,10 +59,10 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        if command in ("fit", "train", "eval"):
-            # The run that eval measures holds its demonstrations; the others keep them in their own folder.
-            holds = (settings.inputs.run or folder) if command == "eval" else folder
-            settings = with_task(settings, holds, keep=command != "eval")
+        measured = settings.inputs.run if command in ("eval", "export") else None
+        if command in ("fit", "train", "eval") or measured is not None:
+            # The run that eval or export reads holds its demonstrations; the others keep them in their own folder.
+            settings = with_task(settings, measured or folder, keep=measured is None)
         module, _, function = place.partition(".")
         result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result

@@ -15,6 +15,7 @@ from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.oracles.base import OracleSettings
+from koopdqn.programs.settings import ProgramSettings
 from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
@@ -65,6 +66,7 @@ class Configuration:
     eval: EvaluationSettings
     report: ReportSettings
     export: ExportSettings
+    program: ProgramSettings
     derived: Derived | None = None
 
     @property

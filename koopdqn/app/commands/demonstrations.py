@@ -172,7 +172,11 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
 
 
 def export(config: Configuration, folder: Path) -> CommandResult:
-    """Write what ``demos=`` names to ``demos.csv``, one sample a row."""
+    """Write what ``demos=`` names to ``demos.csv``, or the path that ``run=`` learned as a robot program."""
+    if config.inputs.run is not None:
+        from koopdqn.app.commands.program import export_program
+
+        return export_program(config, config.inputs.run, folder)
     demonstrations, _ = _read(config, "export")
     if demonstrations.placement is not None:
         console.note(f"moved back to where they were recorded: they had been {demonstrations.placement}")

@@ -49,7 +49,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             made_with = about["made_from"][name]
         if made_with != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
-    step_limit = _step_limit(source / REPORT)
+    step_limit = step_limit_of(source / REPORT)
     workcell = pipeline.open_scene(config)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
@@ -82,7 +82,12 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     return CommandResult(report, lines, objective=report["success_rate"])
 
 
-def _step_limit(path: Path) -> int:
+def step_limit_of(path: Path) -> int:
+    """Return the step limit of the training report at a path, ``train.json``.
+
+    Raises:
+        BadInputError: the file is missing, or holds none.
+    """
     report = read_json(path, "the training report")
     limit = report.get("step_limit") if isinstance(report, dict) else None
     if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= _LONGEST:

@@ -32,6 +32,7 @@ _SHORT_NAMES: Final = {
     "source": "demo.source",
     "demos.place": "task.place",
     "sweep": "report.sweep",
+    "start": "program.start",
 }
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
@@ -60,7 +61,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
-      ``demos.place=`` becomes ``task.place=`` and ``sweep=DIR`` becomes ``report.sweep=DIR``.
+      ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
+      ``program.start=``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
@@ -69,7 +71,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       a copy of are read from there, wherever the files first given are by now. Where another oracle is
       given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
-      robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
+      robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken. ``export run=DIR``
+      does the same, where ``run=`` must be given.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
     - ``import`` and ``export`` work on demonstrations of any kind: without ``task=`` theirs is the one that
       demonstrations define.
@@ -89,12 +92,12 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
-    if command == "eval":
-        named = bool(folders) and folders[-1] != "null"
-        return _prepare_evaluation(prepared, folders[-1] if named else str(newest_trained_run()))
+    named = bool(folders) and folders[-1] != "null"
+    if command == "eval" or (command == "export" and named):
+        return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "export") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
-    if command not in _CONTINUED or not folders or folders[-1] == "null":
+    if command not in _CONTINUED or not named:
         return Prepared([*prepared, f"command={command}"])
     if multirun:
         raise BadInputError(f"run: {command} run=DIR goes on in one folder and cannot be combined with --multirun")
@@ -130,14 +133,14 @@ def newest_trained_run(below: Path = Path("runs")) -> Path:
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 
-def _prepare_evaluation(prepared: list[str], folder: str) -> Prepared:
+def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
     given = {_name(override) for override in prepared}
     # A run's own inputs lie in its folder, and nobody is asked any more.
     unread = ("demos", "intent_file", "oracle")
     recorded = [item for item in _recorded(folder, "train") if item.name not in given and item.root not in unread]
     own = check_record(recorded, Path(folder), _trusted(prepared), [])
     rest = [item for item in prepared if _key(item) != "run"]
-    return Prepared([*own, *rest, f"run={_quoted(folder)}", "command=eval"])
+    return Prepared([*own, *rest, f"run={_quoted(folder)}", f"command={command}"])
 
 
 def _paths(keys: Iterable[str]) -> list[str]:

@@ -1,0 +1,121 @@
+"""``koopdqn export run=DIR``: the path that a run learned, written as a checked robot program."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from koopdqn import console, pose
+from koopdqn.app.commands import pipeline
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.train import POLICY, REPORT
+from koopdqn.app.result import CommandResult
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.files import write_json
+from koopdqn.paths import arc_lengths
+from koopdqn.programs.bag import write_bag
+from koopdqn.programs.program import Program, make_program
+from koopdqn.programs.ros import write_json_trajectory, write_yaml_trajectory
+from koopdqn.programs.rtde import write_rtde
+from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile
+from koopdqn.programs.settings import ProgramSettings
+from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.tasks.demonstrated import DemonstratedTask
+
+REPORT_NAME = "program.json"
+
+
+def export_program(config: Configuration, run: Path, folder: Path) -> CommandResult:
+    """Write the program of the policy in a run's folder and ``program.json``.
+
+    Raises:
+        BadInputError: the run holds no policy of this task, or the start breaks a rule.
+        WorkFailedError: there is no program that keeps every limit and touches nothing.
+    """
+    from koopdqn.rl.policy import read_policy
+
+    settings = config.program
+    config = pipeline.as_trained(config, run, run / POLICY)
+    policy, _ = read_policy(run / POLICY, config.task)
+    step_limit = step_limit_of(run / REPORT)
+    workcell = pipeline.open_scene(config)
+    placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
+    if placement is not None:
+        console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
+    if isinstance(config.task, DemonstratedTask):
+        console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
+    program = make_program(workcell, policy, settings, step_limit, placement)
+    files: dict[str, str] = {}
+    for name in settings.formats:
+        file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
+        write(folder / file, program)
+        files[name] = file
+    report = _report(program, files, run / POLICY, settings).model_dump(mode="json")
+    write_json(folder / REPORT_NAME, report)
+    used, dynamics = report["limits_used"], report["dynamics"]
+    lines = [
+        f"{report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm, {report['samples']} samples,"
+        f" smoothed by at most {report['smoothing_mm']:.2f} mm and {report['smoothing_deg']:.2f}°",
+        f"limits used     joint speed {used['joint_speed']:.0%}, acceleration {used['joint_acceleration']:.0%},"
+        f" jerk {used['joint_jerk']:.0%}, tool speed {used['tool_speed']:.0%}",
+        f"in dynamics     nothing touches, {dynamics['tracking_error_mm']:.2f} mm off at most,"
+        f" {dynamics['peak_joint_torque_ratio']:.0%} of the torque",
+        *(f"{name:<14}  {console.shown_path(folder / file)}" for name, file in files.items()),
+        f"report          {console.shown_path(folder / REPORT_NAME)}",
+    ]
+    return CommandResult(report, lines)
+
+
+def _write_robomimic(path: Path, program: Program) -> None:
+    motion = program.motion
+    item = Demonstration(motion.times, motion.poses, motion.joints)
+    write_hdf5(path, Demonstrations(program.task, program.arm.name, [item]))
+
+
+_WRITERS: dict[str, tuple[str, Callable[[Path, Program], None]]] = {
+    "urscript": ("program.script", write_servoj),
+    "movep": ("program.script", write_movep),
+    "ros_yaml": ("trajectory.yaml", write_yaml_trajectory),
+    "ros_json": ("trajectory.json", write_json_trajectory),
+    "rtde": ("rtde.csv", write_rtde),
+    "robomimic": ("program.hdf5", _write_robomimic),
+    "mcap": ("bag", write_bag),
+}
+"""File name and writer of each format, and of the other kind of URScript."""
+
+
+def _report(program: Program, files: dict[str, str], policy: Path, settings: ProgramSettings) -> ProgramFile:
+    motion, made = program.motion, program.execution
+    used = {name: float(shares.max()) for name, shares in motion.used(program.limits).items()}
+    turned = pose.rotation_distance(program.smooth, program.learned)
+    return ProgramFile(
+        task=program.task,
+        arm=program.arm.name,
+        policy=hashlib.sha256(policy.read_bytes()).hexdigest(),
+        frame=settings.frame,
+        start=motion.poses[0].tolist(),
+        start_joints=motion.joints[0].tolist(),
+        seconds=float(motion.times[-1]),
+        period_seconds=motion.period,
+        samples=len(motion.joints),
+        steps=len(program.learned) - 1,
+        path_length_m=float(arc_lengths(motion.poses[:, pose.POSITION])[-1]),
+        smoothing_mm=float(pose.position_distance(program.smooth, program.learned).max()) * 1e3,
+        smoothing_deg=float(np.degrees(turned.max())),
+        limits_used=LimitsUsed(
+            joint_speed=used["speed"],
+            joint_acceleration=used["acceleration"],
+            joint_jerk=used["jerk"],
+            tool_speed=used["tool_speed"],
+        ),
+        dynamics=ProgramDynamics(
+            tracking_error_mm=float(made.tracking_error_mm.max()),
+            peak_joint_speed_ratio=made.speed_ratio,
+            peak_joint_torque_ratio=made.torque_ratio,
+            sag_mm=made.sag_mm,
+        ),
+        files=files,
+    )

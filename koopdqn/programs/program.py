@@ -1,0 +1,203 @@
+"""A learned path as a robot program: rolled out, smoothed, timed, and refused unless it can be played safely."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Placement
+from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.evaluation.dynamics import Execution, play
+from koopdqn.pose import Array
+from koopdqn.programs.settings import NOMINAL, ProgramSettings
+from koopdqn.programs.smoothing import smoothed
+from koopdqn.programs.timing import Limits, Motion, timed
+from koopdqn.robot.arm import Arm
+from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Workcell
+
+
+@dataclass(frozen=True)
+class Program:
+    """A checked motion.
+
+    Attributes:
+        task: name of the task.
+        arm: the arm that makes it.
+        motion: its samples.
+        limits: what they keep.
+        learned: (T, 7) the poses of the learned path, in the program's frame.
+        smooth: (T, 7) the same, smoothed: the path of the motion.
+        followed: (T, 6) the arm's joint angles there [rad].
+        execution: what became of it in dynamics.
+    """
+
+    task: str
+    arm: Arm
+    motion: Motion
+    limits: Limits
+    learned: Array
+    smooth: Array
+    followed: Array
+    execution: Execution
+
+
+def make_program(
+    workcell: Workcell,
+    policy: Controller,
+    settings: ProgramSettings,
+    step_limit: int,
+    placement: Placement | None = None,
+) -> Program:
+    """Return the program of a policy's path from ``settings.start``.
+
+    Args:
+        workcell: task, arm and scene.
+        policy: chooses the actions (N,) from poses (N, 7).
+        settings: how it is made and what limits it keeps.
+        step_limit: steps within which the goal must be reached.
+        placement: how demonstrations were moved before they were learned; the program is made where they were recorded.
+
+    Raises:
+        BadInputError: the start given has a quaternion not of unit length, or a joint beyond its range.
+        WorkFailedError: the start cannot be taken, the goal is not reached, the arm cannot follow the path, something
+            touches, or dynamics breaks a limit; the message names place and reason.
+    """
+    arm, task = workcell.arm, workcell.task
+    limits = Limits(
+        settings.speed_share * np.array(arm.velocity_limits),
+        np.full(6, settings.acceleration_rad_s2),
+        np.full(6, settings.jerk_rad_s3),
+        settings.tool_speed_m_s,
+    )
+    start, joints = _start(workcell, settings, placement)
+    episode = _learned(workcell, policy, start, joints, step_limit, placement)
+    learned = episode.poses if placement is None else placement.restored(episode.poses)
+    smooth = smoothed(learned, settings.tolerance_m, settings.tolerance_rad)
+    followed = _followed(workcell, smooth, joints)
+    motion = timed(followed, arm.forward, limits, settings.period_s)
+    check_free(workcell, motion)
+    check_rule(workcell.task, motion, placement)
+    execution = check_dynamics(workcell, motion, settings)
+    return Program(task.name, arm, motion, limits, learned, smooth, followed, execution)
+
+
+def _start(workcell: Workcell, settings: ProgramSettings, placement: Placement | None) -> tuple[Array, Array | None]:
+    """Return the pose (7,) at which the program starts, in its own frame, and the joint angles (6,) if given [rad]."""
+    arm = workcell.arm
+    if settings.start == NOMINAL:
+        start = workcell.task.nominal_start
+        return (start if placement is None else placement.restored(start[None])[0]), None
+    given = np.array(settings.start)
+    if len(given) == 7:
+        length = float(np.linalg.norm(given[pose.QUATERNION]))
+        if abs(length - 1.0) > 1e-3:
+            raise BadInputError(f"program.start: its quaternion must have length 1 within 0.001, found {length:g}")
+        return pose.make(given[pose.POSITION], given[pose.QUATERNION]), None
+    outside = (given < np.array(arm.joint_lower)) | (given > np.array(arm.joint_upper))
+    if outside.any():
+        worst = int(outside.argmax())
+        raise BadInputError(
+            f"program.start: {arm.joint_names[worst]} must lie within {arm.joint_lower[worst]:.4f}…"
+            f"{arm.joint_upper[worst]:.4f} rad, found {given[worst]:g}"
+        )
+    return arm.forward(given), given
+
+
+def _learned(
+    workcell: Workcell,
+    policy: Controller,
+    start: Array,
+    joints: Array | None,
+    step_limit: int,
+    placement: Placement | None,
+) -> Episode:
+    """Return the policy's episode from a start in the program's frame; it must succeed."""
+    reachability = workcell.reachability
+    if placement is not None:
+        # Learned where demonstrations were moved to: what the arm does there is not what the program does.
+        start, joints = placement.poses(start[None])[0], None
+    if joints is None:
+        motion = reachability.enter(start)
+        if motion.joints is None:
+            raise WorkFailedError(f"the start at {_place(start)} must be free, found {motion.reason}: {motion.detail}")
+        joints = motion.joints
+    elif contact := workcell.scene.contact(joints):
+        raise WorkFailedError(f"the start at {_place(start)} must be free, found {contact} in contact")
+    episode = roll_out(policy, workcell.task, reachability, start[None], joints[None], step_limit)[0]
+    if episode.outcome != SUCCESS:
+        detail = f" ({episode.detail})" if episode.detail else ""
+        raise WorkFailedError(
+            f"the learned policy must reach the goal from {_place(start)}, found {episode.outcome} after"
+            f" {episode.steps} steps at {_place(episode.poses[-1])}{detail}"
+        )
+    return episode
+
+
+def _followed(workcell: Workcell, poses: Array, joints: Array | None) -> Array:
+    """Return the joint angles (N, 6) [rad] along poses (N, 7), from given ones if there are any."""
+    followed, motion = workcell.reachability.follow_as_far(poses, joints)
+    if motion.joints is None:
+        raise WorkFailedError(
+            f"the arm must be able to follow the smoothed path, found {motion.reason} at"
+            f" {_place(poses[min(len(followed), len(poses) - 1)])}: {motion.detail}"
+        )
+    return np.array(followed)
+
+
+def check_free(workcell: Workcell, motion: Motion) -> None:
+    """Raise WorkFailedError where something touches at a sample of the motion, or a joint is out of its range."""
+    lower, upper = np.array(workcell.arm.joint_lower), np.array(workcell.arm.joint_upper)
+    for time, joints, place in zip(motion.times, motion.joints, motion.poses, strict=True):
+        if (joints < lower).any() or (joints > upper).any():
+            worst = int(np.maximum(lower - joints, joints - upper).argmax())
+            raise WorkFailedError(
+                f"{workcell.arm.joint_names[worst]} must lie within {lower[worst]:.4f}…{upper[worst]:.4f} rad, found"
+                f" {joints[worst]:.4f} rad after {time:.3f} s at {_place(place)}"
+            )
+        if contact := workcell.scene.contact(joints):
+            raise WorkFailedError(f"nothing may touch, found {contact} after {time:.3f} s at {_place(place)}")
+
+
+def check_rule(task: Task, motion: Motion, placement: Placement | None) -> None:
+    """Raise WorkFailedError where a sample breaks the task's own rule, which smoothing could bring about."""
+    poses = motion.poses if placement is None else placement.poses(motion.poses)
+    broken = task.rule_broken(poses)
+    if broken.any():
+        row = int(broken.argmax())
+        raise WorkFailedError(
+            f"the task's rule must hold ({task.rule}), found it broken after {motion.times[row]:.3f} s at"
+            f" {_place(motion.poses[row])}: less smoothing with program.tolerance_rad may keep it"
+        )
+
+
+def check_dynamics(workcell: Workcell, motion: Motion, settings: ProgramSettings) -> Execution:
+    """Return what becomes of the motion in MuJoCo's dynamics.
+
+    Raises:
+        WorkFailedError: something touches, a joint passes its torque or speed limit, or the flange strays.
+    """
+    made = play(workcell, motion.joints, np.diff(motion.times))
+
+    def found(row: int) -> str:
+        return (
+            f"after {row * made.physics_seconds:.3f} s of dynamics at {_place(workcell.arm.forward(made.joints[row]))}"
+        )
+
+    if made.contact_steps:
+        raise WorkFailedError(f"nothing may touch, found {made.first_contact} {found(made.contact_index)}")
+    worst = int(made.tracking_error_mm.argmax())
+    if made.tracking_error_mm[worst] > 1e3 * settings.tracking_m:
+        raise WorkFailedError(
+            f"the flange must stay within program.tracking_m = {settings.tracking_m:g} m of its sample, found"
+            f" {1e-3 * made.tracking_error_mm[worst]:.4f} m {found(worst)}"
+        )
+    for name, ratio in (("torque", made.torque_ratio), ("speed", made.speed_ratio)):
+        if ratio > 1.0:
+            raise WorkFailedError(f"no joint may pass its {name} limit in dynamics, found {ratio:.3g} times the limit")
+    return made
+
+
+def _place(of: Array) -> str:
+    return f"{np.round(of[pose.POSITION], 4).tolist()} m"

@@ -1,0 +1,50 @@
+"""What a robot program is to be like: where it starts, how it is smoothed, what limits it keeps, how it is written."""
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BeforeValidator, Field
+
+from koopdqn.settings import Fraction, Positive, Settings
+
+NOMINAL: Final = "nominal"
+
+
+def _to_start(value: object) -> Any:
+    if value == NOMINAL:
+        return value
+    if isinstance(value, list | tuple) and len(value) in (6, 7):
+        return tuple(value)
+    raise ValueError(f"must be {NOMINAL}, 6 joint angles [rad] or a pose of 7 numbers (x y z [m], qw qx qy qz)")
+
+
+Start = Annotated[Literal["nominal"] | tuple[float, ...], BeforeValidator(_to_start)]
+"""The task's nominal start, joint angles (6,) [rad] or a pose (7,)."""
+
+Format = Literal["urscript", "ros_yaml", "ros_json", "rtde", "robomimic", "mcap"]
+
+
+def _to_formats(value: object) -> object:
+    if not isinstance(value, list | tuple) or not value:
+        raise ValueError("must be a list of formats")
+    return tuple(value)
+
+
+class ProgramSettings(Settings):
+    """How a learned path becomes a robot program."""
+
+    start: Start = Field(description="where it starts")
+    formats: Annotated[tuple[Format, ...], BeforeValidator(_to_formats)] = Field(description="what is written")
+    urscript: Literal["servoj", "movep"] = Field(
+        description="moves of the URScript: a stream of joint angles, or straight lines with blends"
+    )
+    frame: Literal["recorded", "placed"] = Field(
+        description="where demonstrations were recorded, or where demos.place moved them"
+    )
+    tolerance_m: Positive = Field(description="most that smoothing moves a pose of the learned path [m]")
+    tolerance_rad: Positive = Field(description="most that it turns one [rad]")
+    period_s: float = Field(ge=0.001, le=0.1, description="between two samples [s]")
+    speed_share: Fraction = Field(gt=0, description="share of the arm's joint speed limits that is used")
+    acceleration_rad_s2: Positive = Field(description="most of every joint")
+    jerk_rad_s3: Positive = Field(description="most of every joint")
+    tool_speed_m_s: Positive = Field(description="most of the flange")
+    tracking_m: Positive = Field(description="most that the flange may be off its sample in dynamics [m]")

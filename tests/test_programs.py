@@ -1,0 +1,293 @@
+"""Robot programs: limits kept at every sample, the learned path reproduced, refusals that name place and reason."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_shelf import shelf
+from parts import as_demonstrations
+from program_reader import Timed, read_joint_trajectory, read_movep, read_servoj, transforms
+
+from koopdqn import pose
+from koopdqn.app.api import load_config
+from koopdqn.app.commands.program import export_program
+from koopdqn.demonstrations.csv import read_table
+from koopdqn.demonstrations.dataset import Placement
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.paths import SmoothPath, arc_lengths, hausdorff
+from koopdqn.pose import Array
+from koopdqn.programs.bag import write_bag
+from koopdqn.programs.program import Program, make_program
+from koopdqn.programs.ros import write_json_trajectory, write_yaml_trajectory
+from koopdqn.programs.rtde import write_rtde
+from koopdqn.programs.schema import ProgramFile
+from koopdqn.programs.settings import ProgramSettings
+from koopdqn.programs.smoothing import smoothed
+from koopdqn.programs.timing import Limits, timed
+from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.robot.scene import SceneBuilder
+from koopdqn.tasks.actions import nearest_actions
+from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.task import demonstrator_wishes
+from koopdqn.tasks.workcell import Workcell
+
+STEP_LIMIT = 900
+SETTINGS = load_config().program
+# The nominal start as the arm takes it, with the last joint a whole turn on.
+WOUND = (2.4969829894, -1.3671899187, 1.3945485448, -0.0273586261, 0.9261866626, -1.5707963268 + 2.0 * np.pi)
+STARTS: dict[str, Any] = {
+    "nominal": "nominal",
+    "pose": (0.505, -0.175, 0.42, 0.70710678, 0.0, 0.70710678, 0.0),
+    "joints": WOUND,
+}
+
+
+def policy(poses: Array, starts: Array) -> np.ndarray:
+    """Always the action nearest to what the person would do: a path in the agent's stairs."""
+    task = shelf().task
+    return nearest_actions(poses, demonstrator_wishes(task, poses, starts), task)
+
+
+def settings(**fields: object) -> ProgramSettings:
+    return ProgramSettings.model_validate({**dict(SETTINGS), **fields})
+
+
+def made(cell: Workcell, placement: Placement | None = None, **fields: object) -> Program:
+    return make_program(cell, policy, settings(**fields), STEP_LIMIT, placement)
+
+
+@cache
+def program(start: str = "nominal") -> Program:
+    return made(shelf(), start=STARTS[start])
+
+
+def finer(rows: Array, times: int = 8) -> Array:
+    """Return rows (N, D) with others between them."""
+    at = np.linspace(0.0, len(rows) - 1.0, times * (len(rows) - 1) + 1)
+    return np.stack([np.interp(at, np.arange(len(rows)), column) for column in rows.T], axis=1)
+
+
+def assert_follows(joints: Array, path: Array, millimetres: float = 1.0, degrees: float = 0.2) -> None:
+    """Check that joints (N, 6) lead along a path of poses (M, 7), points matched by nearest position."""
+    found, wanted = transforms(finer(joints)), finer(path)
+    assert hausdorff(found[:, :3, 3], wanted[:, pose.POSITION]) < 1e-3 * millimetres
+    nearest = SmoothPath.along(wanted[:, pose.POSITION], 1e-4)
+    rows = np.interp(nearest.nearest(found[:, :3, 3]), arc_lengths(wanted[:, pose.POSITION]), np.arange(len(wanted)))
+    turned = pose.to_matrix(pose.normalized(wanted[np.rint(rows).astype(int), pose.QUATERNION]))
+    cosine = ((turned * found[:, :3, :3]).sum(axis=(1, 2)) - 1.0) / 2.0
+    assert np.degrees(np.arccos(cosine.clip(-1.0, 1.0))).max() < degrees
+
+
+def assert_within_limits(read: Timed, limits: Limits) -> None:
+    """Check every sample by differences, the rest before and after included; the clock must be even."""
+    (period,) = {round(float(step), 9) for step in np.diff(read.times)}
+    ends = np.repeat(read.joints[:1], 3, axis=0), np.repeat(read.joints[-1:], 3, axis=0)
+    rested = np.concatenate([ends[0], read.joints, ends[1]])
+    for order, most in enumerate((limits.speed, limits.acceleration, limits.jerk), start=1):
+        assert (np.abs(np.diff(rested, n=order, axis=0)) / period**order <= most).all(), order
+    tool = transforms(read.joints)[:, :3, 3]
+    assert (np.linalg.norm(np.diff(tool, axis=0), axis=1) / period <= limits.tool_speed).all()
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_urscript_read_back_starts_as_given_keeps_the_limits_and_follows_the_path(start: str, tmp_path: Path) -> None:
+    given = program(start)
+    write_servoj(tmp_path / "program.script", given)
+    first, stream = read_servoj(tmp_path / "program.script")
+    assert_within_limits(stream, given.limits)
+    assert_follows(stream.joints, given.smooth)
+    if start == "joints":
+        np.testing.assert_allclose(first, STARTS[start], atol=1e-9)
+    elif start == "pose":
+        np.testing.assert_allclose(transforms(first[None])[0, :3, 3], STARTS[start][:3], atol=1e-8)
+    assert np.abs(np.diff(stream.joints, axis=0)).max() < 0.1
+
+
+@pytest.mark.parametrize("name", ["trajectory.yaml", "trajectory.json"])
+def test_a_joint_trajectory_read_back_follows_the_path_and_its_speeds_are_its_own(name: str, tmp_path: Path) -> None:
+    given = program("joints")
+    write = write_yaml_trajectory if name.endswith("yaml") else write_json_trajectory
+    write(tmp_path / name, given)
+    names, positions, velocities, accelerations = read_joint_trajectory(tmp_path / name)
+    assert names == list(shelf().arm.joint_names)
+    np.testing.assert_allclose(positions.joints[0], WOUND, atol=1e-9)
+    assert_within_limits(positions, given.limits)
+    assert_follows(positions.joints, given.smooth)
+    assert (np.abs(velocities.joints) <= given.limits.speed).all()
+    assert (np.abs(accelerations.joints) <= given.limits.acceleration).all()
+    middle = 0.5 * (velocities.joints[1:] + velocities.joints[:-1])
+    np.testing.assert_allclose(middle * given.motion.period, np.diff(positions.joints, axis=0), atol=1e-4)
+
+
+def test_movep_blends_over_at_most_half_of_either_line_and_follows_the_path(tmp_path: Path) -> None:
+    given = program()
+    write_movep(tmp_path / "program.script", given)
+    start, places, blends = read_movep(tmp_path / "program.script")
+    corners = np.vstack([transforms(start[None])[0, :3, 3], places[:, :3]])
+    lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    assert (blends[:-1] <= 0.5 * np.minimum(lengths[1:], lengths[:-1])).all()
+    assert blends[-1] == 0
+    # A blend touches both lines at its radius from the corner.
+    points = [corners[0]]
+    for before, corner, after, blend in zip(corners, corners[1:], corners[2:], blends, strict=False):
+        enter, leave = (corner + blend * (to - corner) / np.linalg.norm(to - corner) for to in (before, after))
+        share = np.linspace(0.0, 1.0, 9)[:, None]
+        points += list((1 - share) ** 2 * enter + 2 * share * (1 - share) * corner + share**2 * leave)
+    points.append(corners[-1])
+    fine = SmoothPath.along(points, 1e-4).points
+    assert hausdorff(fine, finer(given.smooth[:, pose.POSITION])) < 1e-3
+    turned = pose.from_rotation_vector(places[:, 3:])
+    apart = pose.angle_of(pose.multiply(pose.conjugate(given.smooth[0, pose.QUATERNION]), turned))
+    assert np.degrees(apart).max() < 0.2
+
+
+def test_smoothing_keeps_both_ends_and_every_pose_within_tolerance() -> None:
+    rng = np.random.default_rng(3)
+    steps = 0.002 * np.eye(3)[rng.integers(0, 3, 200)]
+    turns = 0.02 * rng.integers(0, 2, (200, 1)) * np.array([0.0, 0.6, 0.8])
+    stairs = pose.make(np.cumsum(steps, axis=0), pose.from_rotation_vector(np.cumsum(turns, axis=0)))
+    smooth = smoothed(stairs, 0.003, 0.03)
+    np.testing.assert_array_equal(smooth[[0, -1]], stairs[[0, -1]])
+    assert pose.position_distance(smooth, stairs).max() <= 0.003
+    assert pose.rotation_distance(smooth, stairs).max() <= 0.03
+    bend = [np.linalg.norm(np.diff(rows[:, pose.POSITION], n=2, axis=0), axis=1).mean() for rows in (smooth, stairs)]
+    assert bend[0] < 0.1 * bend[1]
+
+
+@pytest.mark.parametrize(
+    ("fields", "bound"),
+    [
+        ({"tool_speed_m_s": 0.02}, "tool_speed"),
+        ({"jerk_rad_s3": 2.0}, "jerk"),
+        ({"speed_share": 0.02}, "speed"),
+        ({"acceleration_rad_s2": 0.1}, "acceleration"),
+    ],
+)
+def test_the_tightest_limit_is_used_and_none_is_broken(fields: dict[str, Any], bound: str) -> None:
+    given = made(shelf(), **fields)
+    used = {name: float(shares.max()) for name, shares in given.motion.used(given.limits).items()}
+    assert max(used.values()) <= 1.0
+    assert used[bound] == max(used.values()) > 0.9
+    assert given.motion.times[-1] > program().motion.times[-1]
+
+
+def test_a_known_motion_takes_hardly_more_than_its_least_time() -> None:
+    # One joint turns by 1 rad at most 0.5 rad/s, 2 rad/s², 20 rad/s³: 1/0.5 + 0.5/2 + 2/20 s.
+    joints = np.zeros((101, 6))
+    joints[:, 0] = np.linspace(0.0, 1.0, 101)
+    limits = Limits(np.full(6, 0.5), np.full(6, 2.0), np.full(6, 20.0), 10.0)
+    motion = timed(joints, shelf().arm.forward, limits, 0.004)
+    assert 2.35 <= motion.times[-1] < 1.3 * 2.35
+    assert max(float(shares.max()) for shares in motion.used(limits).values()) <= 1.0
+
+
+def test_what_cannot_be_played_is_refused_with_place_and_reason() -> None:
+    with pytest.raises(
+        WorkFailedError, match=r"must reach the goal from \[0.53, -0.2, 0.4\] m, found step_limit after 5"
+    ):
+        make_program(shelf(), policy, SETTINGS, 5)
+    with pytest.raises(WorkFailedError, match=r"start at \[0.53, -0.2, -0.9\] m must be free, found"):
+        made(shelf(), start=(0.53, -0.2, -0.9, 0.70710678, 0.0, 0.70710678, 0.0))
+    with pytest.raises(WorkFailedError, match=r"within program.tracking_m = 1e-06 m .* found .* s of dynamics at \["):
+        made(shelf(), tracking_m=1e-6)
+    with pytest.raises(WorkFailedError, match=r"rule must hold .* found it broken after 0.000 s at"):
+        made(tilted(), start="nominal")
+
+
+def tilted() -> Workcell:
+    """Return the shelf with a rule that nothing keeps, though the policy's steps are not told of it."""
+    cell = shelf()
+
+    class Strict(ShelfTask):
+        def rule_broken(self, poses: Array) -> np.ndarray:
+            # The motion is longer than one step of one episode.
+            return np.full(len(poses), len(poses) > 1)
+
+    return replace(
+        cell, task=Strict.model_validate({name: getattr(cell.task, name) for name in type(cell.task).model_fields})
+    )
+
+
+def test_a_contact_on_the_way_is_refused_by_the_names_of_what_touches() -> None:
+    cell = shelf()
+    builder = SceneBuilder(cell.arm)
+    cell.task.furnish(builder)
+    middle = program().motion.joints[len(program().motion.joints) // 2]
+    bottle = pose.compose(cell.arm.forward(middle), pose.make([0.0, 0.0, 0.15], [1.0, 0.0, 0.0, 0.0]))
+    builder.furniture_box("pillar", bottle[:3].tolist(), (0.01, 0.01, 0.01), (1.0, 0.0, 0.0, 1.0))
+    scene = builder.build()
+    free = cell.reachability
+    # The learned path knows nothing of the pillar; the check does.
+    blind = replace(cell, scene=scene, reachability=Reachability(free.arm, free.scene, free.step_seconds, free.posture))
+    with pytest.raises(WorkFailedError, match=r"nothing may touch, found .*pillar.* after \d.\d+ s at \["):
+        made(blind)
+
+
+def test_a_start_beyond_a_joints_range_is_bad_input() -> None:
+    with pytest.raises(BadInputError, match=r"shoulder_pan_joint must lie within -6\.2832…6\.2832 rad, found 7"):
+        made(shelf(), start=(7.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(BadInputError, match="quaternion must have length 1"):
+        made(shelf(), start=(0.5, 0.0, 0.4, 2.0, 0.0, 0.0, 0.0))
+
+
+def test_the_program_is_made_where_demonstrations_were_recorded() -> None:
+    cell = shelf()
+    scene = SceneBuilder(cell.arm).build()
+    free = replace(cell, scene=scene, reachability=Reachability(cell.arm, scene, cell.arm.step_seconds))
+    placement = Placement(np.array([0.03, -0.05, 0.02]), 0.3)
+    here, there = made(free), made(free, placement)
+    np.testing.assert_allclose(placement.poses(there.motion.poses)[0], here.motion.poses[0], atol=1e-9)
+    np.testing.assert_allclose(placement.poses(there.learned), here.learned, atol=1e-9)
+    np.testing.assert_allclose(cell.arm.forward(there.motion.joints), there.motion.poses, atol=1e-12)
+
+
+def test_other_files_hold_the_same_samples(tmp_path: Path) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    stores = pytest.importorskip("rosbags.typesys")
+    given = program()
+    write_rtde(tmp_path / "rtde.csv", given)
+    table = read_table(tmp_path / "rtde.csv")
+    joints = np.stack([table.numbers(f"target_q_{index}") for index in range(6)], axis=1)
+    np.testing.assert_allclose(joints, given.motion.joints, atol=1e-9)
+    tool = np.stack([table.numbers(f"target_tcp_pose_{index}") for index in range(6)], axis=1)
+    there = pose.make(tool[:, :3], pose.from_rotation_vector(tool[:, 3:]))
+    assert pose.position_distance(there, given.motion.poses).max() < 1e-8
+    assert pose.rotation_distance(there, given.motion.poses).max() < 1e-8
+    write_bag(tmp_path / "bag", given)
+    store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+    with rosbag2.Reader(tmp_path / "bag") as bag:
+        told: dict[str, list[object]] = {}
+        for connection, _, data in bag.messages():
+            told.setdefault(connection.topic, []).append(store.deserialize_cdr(data, connection.msgtype))
+    found = [state.position for state in told["/joint_states"]]  # type: ignore[attr-defined]  # a ROS message
+    np.testing.assert_array_equal(found, given.motion.joints)
+    assert len(told["/tool0_pose"]) == len(given.motion.joints)
+    (message,) = told["/joint_trajectory"]
+    assert len(message.points) == len(given.motion.joints)  # type: ignore[attr-defined]
+    with pytest.raises(BadInputError, match="bag must be new"):
+        write_bag(tmp_path / "bag", given)
+
+
+def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, out = tmp_path / "run", tmp_path / "out"
+    write_hdf5(run / "demos.hdf5", as_demonstrations("shelf", [program().learned]))
+    (run / "train.json").write_text(f'{{"step_limit": {STEP_LIMIT}}}')
+    (run / "policy.safetensors").write_bytes(b"any")
+    monkeypatch.setattr("koopdqn.rl.policy.read_policy", lambda path, task: (policy, {}))
+    config = load_config("program.urscript=movep", "program.formats=[urscript,rtde,robomimic]")
+    result = export_program(config, run, out)
+    report = ProgramFile.model_validate_json((out / "program.json").read_text())
+    assert report.model_dump(mode="json") == result.result
+    assert report.files == {"urscript": "program.script", "rtde": "rtde.csv", "robomimic": "program.hdf5"}
+    assert all((out / file).is_file() for file in report.files.values())
+    assert "movep(" in (out / "program.script").read_text()
+    (item,) = read_hdf5(out / "program.hdf5").items
+    assert item.joints is not None
+    np.testing.assert_allclose(item.joints, program().motion.joints)
+    assert report.samples == len(item)
+    assert report.smoothing_mm <= 2.0
