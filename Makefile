@@ -21,7 +21,7 @@ MINUTES ?= 90
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs site figures \
+.PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs arms site figures \
 	package constraints clean
 
 help: ## List the targets
@@ -79,6 +79,9 @@ people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, g
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py
+
+arms: $(STAMP) ## Write the models of the UR family's other arms below assets/ur/
+	$(BIN)/python scripts/arms.py
 
 site: $(STAMP) ## Build the documentation's site into site/; any warning fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build

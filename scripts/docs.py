@@ -15,6 +15,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
 from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
+from koopdqn.programs.schema import ProgramFile
 from koopdqn.report.schema import ReportFile, SweepFile
 from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
@@ -32,6 +33,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "keys.jsonl": SessionLine,
     "keys.jsonl, key": KeyLine,
     "eval.json": EvaluationFile,
+    "program.json": ProgramFile,
     "report.json": ReportFile,
     "sweep.json": SweepFile,
 }

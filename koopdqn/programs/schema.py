@@ -43,6 +43,6 @@ class ProgramFile(ReportModel):
     path_length_m: float = Field(ge=0, description="length of the flange's path [m]")
     smoothing_mm: float = Field(ge=0, description="most that smoothing moved a pose of the learned path [mm]")
     smoothing_deg: float = Field(ge=0, description="most that it turned one [deg]")
-    limits_used: LimitsUsed
-    dynamics: ProgramDynamics
+    limits_used: LimitsUsed = Field(description="share of each limit that the fastest sample uses")
+    dynamics: ProgramDynamics = Field(description="the program played in MuJoCo's dynamics")
     files: dict[str, str] = Field(description="the file of each format")
