@@ -49,7 +49,7 @@ def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Ar
     for prediction in ("raw", "rescaled"):
         judged = reward_with(reward, **{**SIGN.model_dump(), "prediction": prediction}).evaluate_actions(poses, steps)
         wished = (
-            reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
+            reward.model.predict(poses) if prediction == "raw" else reward.model.predict_step(poses, reward.task.step_m)
         )
         np.testing.assert_array_equal(judged.predicted, wished)
         right = within_tolerance(judged.reached, wished[:, None], reward.task) & legal_actions(reward.task)

@@ -99,11 +99,11 @@ class IntentModel(ABC):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return everything but the settings, as arrays."""
 
-    def preferred(self, poses: Array, step: float) -> Array:
-        """Return the predictions (N, 7) rescaled to the agent's step [m], at most up to the goal.
+    def predict_step(self, poses: Array, step: float) -> Array:
+        """Return the fixed-step predictions (N, 7): one step [m] of the agent long, at most up to the goal.
 
         p + s·(p̂ − p)/‖p̂ − p‖: raw predictions shorten where demonstrations disagree, and then
-        standing still would be the right action. Orientation is predicted as it is.
+        standing still would be the right action. Orientation is that of the raw prediction.
         """
         return self.to_step(poses, self.predict(poses), step)
 
@@ -120,7 +120,7 @@ class IntentModel(ABC):
         """Return poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), rescaled if ``step`` is given."""
         poses = [starts]
         for done in range(steps):
-            poses.append(self.predict(poses[-1]) if step is None else self.preferred(poses[-1], step))
+            poses.append(self.predict(poses[-1]) if step is None else self.predict_step(poses[-1], step))
             if np.abs(poses[-1] - poses[-2]).max(initial=0.0) < _AT_REST:
                 # What rests now rests for good.
                 poses += [poses[-1]] * (steps - done - 1)

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AliasChoices, BeforeValidator, Field, model_validator
 
 from koopdqn import pose
-from koopdqn.intent.augment import Pairs, Stabilisation, surrounded
+from koopdqn.intent.augment import Augmentation, Pairs, augmented
 from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs, within_radius
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Affine, AnyObservables
@@ -40,7 +40,10 @@ class SeparateIntentSettings(IntentSettings):
     spectral_limit: float | None = Field(
         gt=0, description="largest absolute eigenvalue that K may have; null for no such limit"
     )
-    stabilisation: Stabilisation
+    augmentation: Augmentation = Field(
+        # Artifacts of earlier runs call it by its old name.
+        validation_alias=AliasChoices("augmentation", "stabilisation")
+    )
     rotation: RotationSettings
 
     @model_validator(mode="after")
@@ -84,7 +87,7 @@ class SeparateIntentSettings(IntentSettings):
         positions = [trajectory[:, pose.POSITION] for trajectory in trajectories]
         everything = np.concatenate(positions)
         spread = float(np.sqrt(((everything - everything.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        pairs = surrounded(positions, spread, self.stabilisation)
+        pairs = augmented(positions, spread, self.augmentation)
         if self.goal_centered:
             return pairs, task.goal[pose.POSITION].copy(), spread
         return pairs, np.zeros(3), 1.0

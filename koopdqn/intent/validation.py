@@ -77,7 +77,7 @@ def cross_validate(
 
 def _fold(held_out: Array, model: IntentModel, task: Task) -> Fold:
     before, after = held_out[:-1], held_out[1:]
-    rescaled = differences(model.preferred(before, task.step_m), after)
+    rescaled = differences(model.predict_step(before, task.step_m), after)
     return Fold(held_out, model, differences(model.predict(before), after), rescaled)
 
 
@@ -167,7 +167,7 @@ def _arrives(model: IntentModel, starts: Array, task: Task, limit: int) -> np.nd
     under_way, poses = np.arange(len(starts)), starts
     ends = starts.copy()
     for _ in range(limit):
-        poses = model.preferred(poses, task.step_m)
+        poses = model.predict_step(poses, task.step_m)
         there = _at_goal(poses, task)
         arrived[under_way[there]] = True
         ends[under_way[there]] = poses[there]

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.intent.augment import SPACING_M, Course
+from koopdqn.intent.augment import SPACING_M, PursuitPath
 from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Observables, RandomFourier, RotationObservables
@@ -106,7 +106,7 @@ class WholePoseSettings(IntentSettings):
         place.
         """
         mean = mean_poses(trajectories, max(len(rows) for rows in trajectories))
-        course = Course.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
+        course = PursuitPath.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
         shown = to_count(mean, len(course.points))
         rng = np.random.default_rng(self.seed)
         near = np.repeat(mean[:, None], self.copies, axis=1).reshape(-1, 7)
