@@ -16,7 +16,7 @@ from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import load_settings
-from koopdqn.tasks.person import Law, Pursuit, ShownPath
+from koopdqn.tasks.person import Expert, Pursuit, ReferencePath
 from koopdqn.tasks.task import Task
 
 RECIPE = derivation()
@@ -168,9 +168,9 @@ def test_the_law_comes_to_the_goal_along_a_demonstration(index: int, demonstrati
 LAW_TASK = three().task
 
 
-def pursuing(poses: Array, step: float, turn: float) -> Law:
+def pursuing(poses: Array, step: float, turn: float) -> Expert:
     """Return the law of pursuing the path along poses (N, 7)."""
-    return Pursuit(name="pursuit", look_ahead_m=AHEAD).law(ShownPath.along(poses), poses[-1], step, turn)
+    return Pursuit(name="pursuit", look_ahead_m=AHEAD).expert(ReferencePath.along(poses), poses[-1], step, turn)
 
 
 def test_the_law_ends_although_its_path_crosses_itself() -> None:

@@ -6,7 +6,7 @@ from parts import with_fields
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.person import Law, Pursuit, ShownPath
+from koopdqn.tasks.person import Expert, Pursuit, ReferencePath
 from koopdqn.tasks.shelf import ShelfTask
 
 STEP, AHEAD = 0.002, 0.015
@@ -14,9 +14,9 @@ UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
 
 
 @pytest.fixture
-def law() -> Law:
+def expert() -> Expert:
     ends = pose.make([[0.0, 0, 0], [0.4, 0, 0]], UPRIGHT)
-    return Pursuit(name="pursuit", look_ahead_m=AHEAD).law(ShownPath.along(ends), ends[-1], STEP, 0.0)
+    return Pursuit(name="pursuit", look_ahead_m=AHEAD).expert(ReferencePath.along(ends), ends[-1], STEP, 0.0)
 
 
 def corners(task: ShelfTask) -> Array:
@@ -26,7 +26,7 @@ def corners(task: ShelfTask) -> Array:
     )
 
 
-def test_every_step_is_one_step_long_until_the_goal(law: Law) -> None:
+def test_every_step_is_one_step_long_until_the_goal(law: Expert) -> None:
     passed = law.roll_out(pose.make([0.0, 0.03, -0.01], UPRIGHT), 1000)
     gaps = np.linalg.norm(np.diff(passed[:, :3], axis=0), axis=1)
     np.testing.assert_allclose(gaps[:-1], STEP, atol=1e-12)
@@ -34,7 +34,7 @@ def test_every_step_is_one_step_long_until_the_goal(law: Law) -> None:
     np.testing.assert_allclose(passed[-1], law.goal, atol=1e-6)
 
 
-def test_the_goal_is_where_it_rests(law: Law) -> None:
+def test_the_goal_is_where_it_rests(law: Expert) -> None:
     np.testing.assert_array_equal(law.next_pose(law.goal[None])[0], law.goal)
 
 
@@ -82,7 +82,7 @@ def test_finer_steps_follow_the_same_way(shelf_task: ShelfTask, person: str) -> 
     task = with_fields(shelf_task, person=node)
     start = task.nominal_start.copy()
     start[1] += 0.01
-    coarse, fine = task.law().roll_out(start, 1000), task.law(finer=4).roll_out(start, 4000)
+    coarse, fine = task.expert().roll_out(start, 1000), task.expert(finer=4).roll_out(start, 4000)
     assert np.linalg.norm(np.diff(fine[:, :3], axis=0), axis=1)[:-1] == pytest.approx(task.step_m / 4)
     gap = np.linalg.norm(coarse[:, None, :3] - fine[None, :, :3], axis=2).min(axis=1)
     assert gap.max() < task.step_m

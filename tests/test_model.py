@@ -164,14 +164,14 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
     frame = StartFrame(task.nominal_start[:3], task.goal[:3], follows=True)
     model = model.within(frame)
     starts = task.draw_starts(np.random.default_rng(3), 20)
-    here = frame.unplaced(mean[10:210:10], starts, mean[10:210:10])
+    here = frame.from_frame(mean[10:210:10], starts, mean[10:210:10])
     for each in (
         model,
         restored(model.arrays(), settings),
         corrected(model, mean[:1], mean[1:2], np.array([0.03])),
     ):
         found = each.intended(here, starts)
-        np.testing.assert_allclose(frame.placed(found, starts), each.predict(frame.placed(here, starts)), atol=1e-9)
+        np.testing.assert_allclose(frame.to_frame(found, starts), each.predict(frame.to_frame(here, starts)), atol=1e-9)
     np.testing.assert_array_equal(
         restored(model.arrays(), settings).intended(here, starts), model.intended(here, starts)
     )

@@ -68,7 +68,7 @@ def test_along_demonstrations_that_follow_their_start_it_lies_beside_them_as_its
     assert not in_region(workcell, batch.poses).all()
     shown = np.concatenate(placed)[:, :3]
     gaps = []
-    for poses in (batch.poses, frame.placed(batch.poses, batch.starts)):
+    for poses in (batch.poses, frame.to_frame(batch.poses, batch.starts)):
         gaps.append(np.linalg.norm(poses[:, None, :3] - shown[None], axis=2).min(axis=1))
     assert gaps[1].max() < 1e-7
     assert np.median(gaps[0]) > 1e-3

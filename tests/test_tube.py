@@ -66,7 +66,7 @@ def test_a_single_demonstration_has_a_tube_of_fixed_radius() -> None:
     aside = shown.copy()
     for far, inside in ((0.9, True), (1.2, False)):
         aside[:, 2] = shown[:, 2] + far * default().fixed_radius_m
-        assert drawn.inside(aside, np.zeros(len(aside), dtype=int)).all() == inside
+        assert drawn.contains(aside, np.zeros(len(aside), dtype=int)).all() == inside
 
 
 @settings(max_examples=30)
@@ -81,7 +81,7 @@ def test_distance_reason_and_inside_agree(seed: int, turn: float, error: bool) -
     positions = rng.uniform([-0.05, -0.03, -0.03], [0.45, 0.03, 0.03], (40, 3))
     points = pose.make(positions, pose.from_rotation_vector([turn, 0.0, 0.0]))
     steps = np.zeros(40, dtype=int)
-    inside, far = drawn.inside(points, steps), drawn.distance(points)
+    inside, far = drawn.contains(points, steps), drawn.distance(points)
     assert not np.any(inside & (far > 1.0 + 1e-9))
     if not error:
         np.testing.assert_array_equal(inside[np.abs(far - 1) > 1e-9], (far < 1.0)[np.abs(far - 1) > 1e-9])
@@ -95,7 +95,7 @@ def test_where_rewards_are_wrong_it_is_the_nearest_place_that_counts() -> None:
     for each in signs[1:]:
         each[100:120, :, 0] = 0.0
     drawn = tube(shown, signs)
-    inside = drawn.inside(shown[2], np.zeros(len(shown[2]), dtype=int))
+    inside = drawn.contains(shown[2], np.zeros(len(shown[2]), dtype=int))
     assert not inside[102:118].any()
     # The share is that of the places up to 20 mm, ten steps, around.
     assert inside[:85].all()
@@ -112,10 +112,10 @@ def test_what_demonstrations_say_goes_before_answers() -> None:
     wider = drawn.extended(shown[0][110:111], np.array([0.2]))
     steps = np.zeros(2, dtype=int)
     here, aside = shown[0][[110, 60]], shown[0][[110, 60]] + np.array([0, 0.1, 0, 0, 0, 0, 0])
-    assert wider.inside(here, steps).tolist() == [False, True]
-    vouched = wider.vouched(np.concatenate([here, aside]), np.zeros(4, dtype=int))
-    assert vouched.shown.tolist() == [False, True, False, False]
-    assert vouched.answered.tolist() == [False, False, True, True]
+    assert wider.contains(here, steps).tolist() == [False, True]
+    trust = wider.assess(np.concatenate([here, aside]), np.zeros(4, dtype=int))
+    assert trust.demonstrated.tolist() == [False, True, False, False]
+    assert trust.certified.tolist() == [False, False, True, True]
 
 
 def test_a_ball_beside_the_tube_is_trusted_and_survives_storage() -> None:
@@ -124,7 +124,7 @@ def test_a_ball_beside_the_tube_is_trusted_and_survives_storage() -> None:
     step = np.array([0])
     aside = shown[0] + np.array([0, 0, 0.1, 0, 0, 0, 0])
     wider = drawn.extended(aside[50:51], np.array([0.01]))
-    assert not drawn.inside(aside[50:51], step)[0]
+    assert not drawn.contains(aside[50:51], step)[0]
     for domain in (wider, TrustDomain.restore(wider.arrays(), wider.settings)):
-        assert domain.inside(aside[52:53], step)[0]
-        assert not domain.inside(aside[80:81], step)[0]
+        assert domain.contains(aside[52:53], step)[0]
+        assert not domain.contains(aside[80:81], step)[0]

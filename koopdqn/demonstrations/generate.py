@@ -1,4 +1,4 @@
-"""Generating demonstrations: the scripted demonstrator with a person's variation, on the MuJoCo arm."""
+"""Generates demonstrations: the scripted demonstrator with smooth variation, carried out by the MuJoCo arm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,29 +17,28 @@ from koopdqn.tasks.task import Task
 
 _HARMONICS = 3
 _SUBSTEPS = 4
-# From one start, two demonstrations of a set differ by at least this share of the variation (Hausdorff distance), so
-# that no two are nearly the same: 5.2 mm where the variation is 4.5 mm.
+# Least Hausdorff distance of two demonstrations from one start, as a share of the variation: 5.2 mm for 4.5 mm.
 _LEAST_DIFFERENCE = 1.155
-# Paths are smooth: every fourth pose, a step apart, tells them apart as well as all do.
+# Smooth paths are compared at every fourth pose, a step apart.
 _COARSER = _SUBSTEPS
 
 
 class DemonstrationSettings(Settings):
-    """How many demonstrations are generated, and how fast they are shown."""
+    """Number and speed of generated demonstrations."""
 
     count: int = Field(ge=1, le=1000)
     speed_m_s: float = Field(ge=0.001, le=1.0, description="average speed of the flange [m/s]")
-    pace_variation: float = Field(ge=0, lt=1, description="how much the speed rises and falls, as a share of it")
+    pace_variation: float = Field(ge=0, lt=1, description="largest change of the speed, as a share of it")
     sample_seconds: float = Field(ge=0.001, le=0.2, description="time between two recorded samples [s]")
 
 
 @dataclass(frozen=True)
 class Generated:
-    """Generated demonstrations and what it took.
+    """Generated demonstrations.
 
     Attributes:
         demonstrations: the trajectories.
-        redrawn: draws per reason that the arm could not carry out and that were drawn again.
+        redrawn: number of draws that the arm could not carry out, by reason.
     """
 
     demonstrations: Demonstrations
@@ -53,18 +52,17 @@ def generate(
     seed: int,
     advance: Callable[[int], None] = lambda done: None,
 ) -> Generated:
-    """Return demonstrations of a task, each from its own start with its own smooth variation and pace.
+    """Return demonstrations of a task, each with a random start, smooth variation and pace.
 
     Args:
-        task: whose demonstrator is followed.
-        reachability: the arm in the task's scene; every sample is reached by it without touching anything.
-        settings: how many, how fast.
+        task: gives the demonstrator.
+        reachability: of the arm in the task's scene; every sample is reachable without collision.
+        settings: number and speed.
         seed: fixes everything.
-        advance: told the number of demonstrations done.
+        advance: called with the number of demonstrations done.
 
     Raises:
-        WorkFailedError: the arm cannot follow the demonstrator even without variation, or too many draws in a row
-            could not be carried out.
+        WorkFailedError: the arm cannot follow the demonstrator even without variation, or refuses too many draws.
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
@@ -95,7 +93,7 @@ def generate(
 
 
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
-    """Raise unless the arm can follow the demonstrator without variation: drawing again would not help."""
+    """Raise WorkFailedError unless the arm can follow the demonstrator without variation."""
     _, poses = _paced(_follow(task, task.nominal_start), settings, np.random.default_rng(0))
     joints, motion = reachability.follow_as_far(poses)
     if motion.joints is None:
@@ -108,8 +106,7 @@ def _check_path(task: Task, reachability: Reachability, settings: DemonstrationS
 def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
     """Return a smooth offset (M, 3) [m] for every point of the task's path.
 
-    It is a short random sine series along the path that vanishes at both ends and whose largest
-    value is the task's ``variation_m``.
+    A random sine series that is zero at both ends, with the task's ``variation_m`` as its largest value.
     """
     along = np.linspace(0.0, 1.0, len(task.nominal_path.points))
     offset = np.zeros((len(along), 3))
@@ -119,9 +116,9 @@ def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
 
 
 def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept: list[Array]) -> tuple[Array, Array]:
-    """Return a variation (M, 3) [m] and the positions (N, 3) [m] it makes of the path from the nominal start.
+    """Return a variation (M, 3) [m] and the path from the nominal start with it, as positions (N, 3) [m].
 
-    These differ from the ``kept`` ones of the set; after a thousand draws that resemble others the next is taken.
+    The path differs from the ``kept`` ones, unless a thousand draws did not.
     """
     least = _LEAST_DIFFERENCE * task.variation_m
     for draw in range(1001):
@@ -134,18 +131,18 @@ def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept:
 
 def _follow(task: Task, start: Array) -> Array:
     limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
-    return task.law(finer=_SUBSTEPS).roll_out(start, limit)
+    return task.expert(finer=_SUBSTEPS).roll_out(start, limit)
 
 
 def _varied(path: Array, variation: Array) -> Array:
-    # The variation lies on the person's own path from this start, however gently that comes back to the nominal one.
+    # The variation is added to the demonstrator's own path from this start.
     arc = arc_lengths(path[:, pose.POSITION])
     offset = at_arc_lengths(variation, np.linspace(0.0, arc[-1], len(variation)), arc)
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
 
 
 def _paced(poses: Array, settings: DemonstrationSettings, rng: np.random.Generator) -> tuple[Array, Array]:
-    # Speed eases in and out and swells smoothly in between; time is the integral of its inverse.
+    # Speed eases in and out and varies smoothly in between; time is the integral of its inverse.
     arc = arc_lengths(poses[:, pose.POSITION])
     share = arc / arc[-1]
     swell = sum(rng.uniform(-1, 1) * np.sin(np.pi * (k + 1) * share + rng.uniform(0, np.pi)) for k in range(2))

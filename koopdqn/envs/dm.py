@@ -108,4 +108,4 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
 
     def _observation(self) -> np.ndarray:
         episodes = self._env.episodes
-        return np.array(observe(self._frame.placed(episodes.poses, episodes.starts), self._task)[0])
+        return np.array(observe(self._frame.to_frame(episodes.poses, episodes.starts), self._task)[0])

@@ -156,7 +156,7 @@ class Trainer:
             PauseRequested: who answers wants to go on another time.
         """
         evaluation = self.env.evaluate_actions()
-        values = self.learner.online.values(observe(evaluation.placed, self._task))
+        values = self.learner.online.values(observe(evaluation.local, self._task))
         labelled, motions = self._labelling.label(self.env, evaluation)
         if labelled is not None:
             self._store(labelled)
@@ -188,7 +188,7 @@ class Trainer:
             tried = self.env.episodes.tried[index] & ~self.env.episodes.stored[index]
             # A question without an answer may have been about what is right.
             if not tried.any():
-                self.feedback.contradict(evaluation.placed[index])
+                self.feedback.contradict(evaluation.local[index])
             self._end(index)
             return False
         attempt = self.env.try_action(index, action, evaluation, motions.get((index, action)), ask=ask)

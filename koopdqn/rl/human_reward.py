@@ -36,7 +36,7 @@ class Outcome:
 
     Attributes:
         right: whether the action was right; None if there was no answer.
-        reopened: placed poses (7,) and actions of which other things are known than when they were last tried: their
+        reopened: local poses (7,) and actions of which other things are known than when they were last tried: their
             answer was withdrawn, or they are what would have been right.
     """
 
@@ -106,7 +106,7 @@ class Feedback:
     def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
         """Return what is known without asking, answers included; see :meth:`IntentReward.evaluate_actions`."""
         evaluation = self.reward.evaluate_actions(poses, steps, starts)
-        places = self.answers.recall(evaluation.placed, evaluation.margin)
+        places = self.answers.recall(evaluation.local, evaluation.margin)
         recalled = (places >= 0) & ~evaluation.known
         for row, action in np.argwhere(recalled):
             place, at_goal = places[row, action], bool(evaluation.at_goal[row, action])
@@ -115,19 +115,19 @@ class Feedback:
         return evaluation
 
     def contradict(self, point: Array) -> None:
-        """Notice that no action is left from a placed pose (7,); see :meth:`RememberedAnswers.contradict`."""
+        """Notice that no action is left from a local pose (7,); see :meth:`RememberedAnswers.contradict`."""
         self.changes += self.answers.contradict(point)
 
     def hopeless_near(self, point: Array) -> bool:
-        """Return whether nothing at all was right near a placed pose (7,)."""
+        """Return whether nothing at all was right near a local pose (7,)."""
         return self.answers.hopeless_near(point, _LEAST_REACH_STEPS * self._base.task.step_m)
 
-    def covers(self, yeses: Array, point: Array, step: int) -> bool:
+    def extension_contains(self, yeses: Array, point: Array, step: int) -> bool:
         """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,), all placed."""
         if not self._settings.extend:
             return False
         trust = self._base.trust.extended(yeses, self._radii(yeses))
-        return bool(trust.vouched(point[None], np.array([step])).answered[0])
+        return bool(trust.assess(point[None], np.array([step])).certified[0])
 
     def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> Outcome:
         """Ask whether an action was right, learn from the answer, and label the action with it.
@@ -159,7 +159,7 @@ class Feedback:
         self.questions += 1
         reopened = self._withdraw(answer.undo) if answer.undo else []
         if answer.better is not None:
-            reopened.append((evaluation.placed[row].copy(), answer.better))
+            reopened.append((evaluation.local[row].copy(), answer.better))
         self._learn(number, question, answer, evaluation, row)
         return number, Outcome(answer.right, tuple(reopened))
 
@@ -175,7 +175,7 @@ class Feedback:
             margins = evaluation.margin[row]
             margin = float(margins[action])
             expected = margin >= max(0.0, float(margins.max()))
-            here, there = evaluation.placed[row].copy(), evaluation.placed_reached[row, action].copy()
+            here, there = evaluation.local[row].copy(), evaluation.local_reached[row, action].copy()
             self.answers.add(number, here, action, there, right=right, margin=margin, expected=expected)
             if right and self._settings.extend:
                 self._extend()
@@ -192,12 +192,12 @@ class Feedback:
         return np.full(len(poses), self._settings.reach_m)
 
     def _reaches(self, poses: Array) -> Array:
-        """Return how far unexpected yeses at placed poses (M, 7) move the model [m]: not into what was demonstrated."""
+        """Return how far unexpected yeses at local poses (M, 7) move the model [m]: not into what was demonstrated."""
         least = _LEAST_REACH_STEPS * self._base.task.step_m
         return np.maximum(self._base.trust.gap(poses), least)
 
     def _withdraw(self, count: int) -> list[tuple[Array, int]]:
-        """Withdraw the latest answers; return the placed poses (7,) and actions that they were about."""
+        """Withdraw the latest answers; return the local poses (7,) and actions that they were about."""
         latest = self._standing[-count:]
         del self._standing[-count:]
         self.changes += 1
@@ -213,14 +213,14 @@ class Feedback:
         return about
 
     def _recompute(self, poses: Array) -> None:
-        """Give stored rewards of the model near placed poses (M, 7) their present values; untrusted ones leave."""
+        """Give stored rewards of the model near local poses (M, 7) their present values; untrusted ones leave."""
         replay = self._replay
         if replay is None:
             return
         held = replay.held()
         far = np.maximum(self._radii(poses), self._reaches(poses))
-        placed = self.reward.model.start_frame.placed(held.poses, held.starts)
-        moved = np.linalg.norm(placed[:, None, :3] - poses[None, :, :3], axis=2)
+        local = self.reward.model.start_frame.to_frame(held.poses, held.starts)
+        moved = np.linalg.norm(local[:, None, :3] - poses[None, :, :3], axis=2)
         rows = np.flatnonzero(np.isin(held.sources, BY_MODEL) & (moved <= far).any(axis=1))
         lost = np.zeros(len(replay), dtype=bool)
         for begin in range(0, len(rows), _TOGETHER):

@@ -92,4 +92,4 @@ def _blocked(env: VectorEnv, evaluation: ActionEvaluation, index: int) -> bool:
     """
     source, right = evaluation.source[index], evaluation.margin[index] >= 0
     refused = env.episodes.tried[index] & right & np.isin(source, (RULE, *BY_MODEL))
-    return bool(refused.any() and ((source == TRUSTED).any() or env.feedback.hopeless_near(evaluation.placed[index])))
+    return bool(refused.any() and ((source == TRUSTED).any() or env.feedback.hopeless_near(evaluation.local[index])))

@@ -10,7 +10,7 @@ from koopdqn.rl.history import History
 from koopdqn.rl.network import observe
 from koopdqn.rl.replay_buffer import Transitions
 from koopdqn.tasks.actions import within_tolerance
-from koopdqn.tasks.task import Task, demonstrator_wishes
+from koopdqn.tasks.task import Task, demonstrator_next_poses
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class Labelled:
         evaluation, each = self.evaluation, (self.rows, self.actions)
         wrong = self.rewards < 0
         return Transitions(
-            observe(evaluation.placed[self.rows], task),
+            observe(evaluation.local[self.rows], task),
             self.actions,
             self.rewards.astype(np.float32),
-            observe(evaluation.placed_reached[each], task),
+            observe(evaluation.local_reached[each], task),
             terminated=evaluation.at_goal[each] & ~wrong,
             truncated=np.full(len(self.rows), self.truncated),
             undone=wrong & step_back,
@@ -67,7 +67,7 @@ class Labelled:
             return
         # Once a state, of which there are up to ten actions.
         states, state = np.unique(self.rows[counted], return_inverse=True)
-        wished = demonstrator_wishes(task, evaluation.poses[states], evaluation.starts[states])[state]
+        wished = demonstrator_next_poses(task, evaluation.poses[states], evaluation.starts[states])[state]
         agrees = within_tolerance(evaluation.reached[each][counted], wished, task)
         same = agrees == (self.rewards[counted] >= 0)
         for source in range(RULE + 1, len(SOURCES)):

@@ -39,7 +39,7 @@ class Policy:
 
     def values(self, poses: Array, starts: Array) -> np.ndarray:
         """Return Q (N, 10) at poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        return self.network.values(observe(self.frame.placed(poses, starts), self.task))
+        return self.network.values(observe(self.frame.to_frame(poses, starts), self.task))
 
 
 def write_policy(

@@ -76,7 +76,7 @@ class PutOffQuestions:
         self._attempts[index].append(attempt)
         questions = self._questions[index]
         here = _placed([attempt], self._feedback)[0]
-        if not self._feedback.covers(_poses(questions), here, attempt.step):
+        if not self._feedback.extension_contains(_poses(questions), here, attempt.step):
             questions.append(here)
         return len(questions) >= self._asking.most
 
@@ -119,7 +119,7 @@ def question_about(
         row: of the evaluation.
         place: where the question stands among those of its episode; None if it is asked at once.
     """
-    placed, trust = evaluation.placed_reached[row, attempt.action], reward.trust
+    local, trust = evaluation.local_reached[row, attempt.action], reward.trust
     return Question(
         episode=attempt.episode,
         step=attempt.step,
@@ -128,7 +128,7 @@ def question_about(
         action=attempt.action,
         reached=evaluation.reached[row, attempt.action].copy(),
         predicted=evaluation.predicted[row].copy(),
-        reason=trust.outside(placed, attempt.step + 1) or trust.outside(evaluation.placed[row], attempt.step),
+        reason=trust.outside(local, attempt.step + 1) or trust.outside(evaluation.local[row], attempt.step),
         candidates=evaluation.reached[row].copy(),
         place=place,
     )
@@ -180,14 +180,14 @@ def _count(attempts: list[OpenAttempt], known: np.ndarray, feedback: Feedback) -
     """Return how many of the attempts will be asked about if all answers are yes, given what is known (N, 10)."""
     questions: list[Array] = []
     for row, (attempt, here) in enumerate(zip(attempts, _placed(attempts, feedback), strict=True)):
-        if not known[row, attempt.action] and not feedback.covers(_poses(questions), here, attempt.step):
+        if not known[row, attempt.action] and not feedback.extension_contains(_poses(questions), here, attempt.step):
             questions.append(here)
     return len(questions)
 
 
 def _placed(attempts: list[OpenAttempt], feedback: Feedback) -> Array:
     poses, starts = (_poses([getattr(attempt, name) for attempt in attempts]) for name in ("pose", "start"))
-    return feedback.reward.model.start_frame.placed(poses, starts)
+    return feedback.reward.model.start_frame.to_frame(poses, starts)
 
 
 def _poses(poses: list[Array]) -> Array:

@@ -17,7 +17,7 @@ _MOST_REGIONS = 20
 
 
 @dataclass(frozen=True)
-class Beginning:
+class EpisodeStart:
     """How an episode begins.
 
     Attributes:
@@ -39,7 +39,7 @@ class Beginning:
 class StartSampler:
     """Draws where episodes begin: in and around the task's start region, or somewhere along a demonstration.
 
-    Some episodes are exploring ones, cut after a few steps. Beginning along the demonstrations shows the
+    Some episodes are exploring ones, cut after a few steps. EpisodeStart along the demonstrations shows the
     agent the whole tube from the first moment, and what to do a little beside the path, where its own
     mistakes will take it; beginning often in and around the start region shows it that region's corners, and the way
     from farther out.
@@ -48,7 +48,7 @@ class StartSampler:
         task: gives the start region.
         reachability: refuses what the arm cannot take.
         frame: in which demonstrations are told.
-        trajectories: demonstrated poses (N, 7) at the agent's step, placed there.
+        trajectories: demonstrated poses (N, 7) at the agent's step, local there.
         share: share of exploring starts.
         region_share: share of the exploring starts that lie in and around the start region, as all others do.
         region_scale: how many times wider than the start region those may lie.
@@ -91,13 +91,13 @@ class StartSampler:
             step_limit,
         )
 
-    def draw(self, rng: np.random.Generator) -> Beginning:
+    def draw(self, rng: np.random.Generator) -> EpisodeStart:
         """Return where the next episode begins."""
         exploring = rng.random() < self.share
         if exploring and rng.random() >= self.region_share:
             return self._along_demonstration(rng)
         pose, joints = self._around_region(rng)
-        return Beginning(pose, pose, joints, self.exploring_steps if exploring else self.step_limit, exploring)
+        return EpisodeStart(pose, pose, joints, self.exploring_steps if exploring else self.step_limit, exploring)
 
     def _around_region(self, rng: np.random.Generator) -> tuple[Array, Array]:
         left = _MOST_REGIONS
@@ -116,7 +116,7 @@ class StartSampler:
             self.refused += refused
             return poses[0], joints[0]
 
-    def _along_demonstration(self, rng: np.random.Generator) -> Beginning:
+    def _along_demonstration(self, rng: np.random.Generator) -> EpisodeStart:
         for _ in range(_MOST_DRAWS):
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]
             index = rng.integers(len(trajectory))
@@ -127,10 +127,10 @@ class StartSampler:
                 ahead = rng.normal(scale=self.spread_rad)
                 pose[3:] = turned_toward(pose[3:], self.task.goal[3:], ahead)
             start = self.task.draw_starts(rng, 1)[0]
-            pose = self.frame.unplaced(pose[None], start[None], pose[None])[0]
+            pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
             motion = self.reachability.enter(pose)
             if motion.joints is not None and not self.task.reached(pose[None])[0]:
-                return Beginning(pose, start, motion.joints, self.exploring_steps, True)
+                return EpisodeStart(pose, start, motion.joints, self.exploring_steps, True)
             self.refused += 1
         raise WorkFailedError(
             f"task {self.task.name}: the arm must be able to begin along the demonstrations,"

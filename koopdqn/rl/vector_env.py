@@ -11,7 +11,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.labels import Labelled
 from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
-from koopdqn.rl.starts import Beginning, StartSampler
+from koopdqn.rl.starts import EpisodeStart, StartSampler
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.reachability import Motion
 from koopdqn.tasks.workcell import Workcell
@@ -68,7 +68,7 @@ class Episodes:
         """Return the number of episodes."""
         return len(self.poses)
 
-    def begin(self, index: int, number: int, beginning: Beginning) -> None:
+    def begin(self, index: int, number: int, beginning: EpisodeStart) -> None:
         """Begin episode ``number`` of the run at ``index``."""
         self.poses[index], self.starts[index] = beginning.pose, beginning.start
         self.joints[index] = beginning.joints
@@ -228,10 +228,10 @@ class VectorEnv:
     def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
         """Ask; return whether there was an answer (a skip is not a no), which then stands in a row of an evaluation."""
         outcome = self.feedback.ask(question, evaluation, row)
-        placed = self.feedback.reward.model.start_frame.placed(self.episodes.poses, self.episodes.starts)
+        local = self.feedback.reward.model.start_frame.to_frame(self.episodes.poses, self.episodes.starts)
         for point, action in outcome.reopened:
             # To rounding: places that are told from another start are computed anew.
-            self.episodes.reopen(np.abs(placed - point).max(axis=1) < _SAME, action)
+            self.episodes.reopen(np.abs(local - point).max(axis=1) < _SAME, action)
         return outcome.right is not None
 
     def answer_put_off(self, index: int) -> Iterator[Labelled]:

@@ -1,4 +1,4 @@
-"""Whether the arm can make a motion: inverse kinematics, limits and collisions, one step at a time."""
+"""Reachability of motions: inverse kinematics, joint limits and collisions, one step at a time."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,21 +14,21 @@ from koopdqn.tasks.task import Task
 COLLISION: Final = "collision"
 UNREACHABLE: Final = "unreachable"
 JUMP: Final = "posture_jump"
-# The reasons why a motion is refused, for counting.
+# Reasons to refuse a motion.
 REASONS: Final = (UNREACHABLE, JUMP, COLLISION)
-# A joint that would turn more than this in one step [rad] changes the arm's posture: a step of millimetres needs that
-# much only where another of the solutions takes over.
+# A joint that turns more than this in a step of millimetres [rad] has changed to another solution of the inverse
+# kinematics.
 _JUMP = 0.5
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What became of a motion that was asked for.
+    """The result of a motion.
 
     Attributes:
         joints: joint angles (6,) [rad] after it, or None if it is refused.
         reason: one of :data:`REASONS`, or an empty string.
-        detail: the reason for people.
+        detail: the reason in words.
     """
 
     joints: Array | None
@@ -42,19 +42,19 @@ class Reachability:
     Attributes:
         arm: the arm.
         scene: the scene.
-        step_seconds: how long one step takes [s], longer where a joint would be faster than its limit.
-        posture: joint angles (6,) [rad] that motions begin nearest to, of the many that take a pose.
+        step_seconds: least duration of one step [s].
+        posture: joint angles (6,) [rad]; a path begins with the solution nearest to them.
     """
 
     def __init__(self, arm: Arm, scene: Scene, step_seconds: float, posture: Array | None = None) -> None:
-        """Prepare for an arm in a scene whose steps take ``step_seconds`` [s] at least; the posture is home if None."""
+        """Set the parts; a posture of None is the arm's home."""
         self.arm = arm
         self.scene = scene
         self.step_seconds = step_seconds
         self.posture = np.array(arm.home) if posture is None else posture.copy()
 
     def move(self, pose: Array, joints: Array) -> Motion:
-        """Return what becomes of moving the flange to a pose (7,) from joint angles (6,) [rad] in one step."""
+        """Return the result of moving the flange to a pose (7,) from joint angles (6,) [rad] in one step."""
         result = self.arm.inverse(pose, joints)
         if not result.success:
             return Motion(None, UNREACHABLE, result.reason)
@@ -66,28 +66,28 @@ class Reachability:
         return self._clear(result.joints)
 
     def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
-        """Return what becomes of N motions, each by itself: to poses (N, 7) from joint angles (N, 6) [rad]."""
+        """Return the results of N independent motions to poses (N, 7) from joint angles (N, 6) [rad]."""
         found = self.arm.inverse_batch(poses, joints)
-        # NaN is not near: what has no solution, like what jumps, is moved by itself, which says why.
+        # NaN, of poses without solution, compares false; these and jumps are moved one by one for their reason.
         near = np.abs(found - joints).max(axis=1) <= _JUMP
         return [
             self._clear(found[row]) if near[row] else self.move(poses[row], joints[row]) for row in range(len(poses))
         ]
 
     def _clear(self, joints: Array) -> Motion:
-        """Return the motion to joint angles (6,) [rad], refused if something touches there."""
+        """Return the motion to joint angles (6,) [rad], refused if they are in collision."""
         contact = self.scene.contact(joints)
         return Motion(None, COLLISION, contact) if contact else Motion(joints)
 
     def durations(self, joints: Array) -> Array:
-        """Return how long each step along joint angles (T, 6) [rad] takes, (T − 1,) [s]: as its slowest joint needs."""
+        """Return the durations (T − 1,) [s] of the steps along joint angles (T, 6) [rad], within velocity limits."""
         needed = np.abs(np.diff(joints, axis=0)) / np.array(self.arm.velocity_limits)
         return np.asarray(np.maximum(needed.max(axis=1), self.step_seconds))
 
     def enter(self, pose: Array) -> Motion:
-        """Return the joint angles with which the arm takes a pose (7,) to begin with: those nearest its posture.
+        """Return the joint angles for beginning at a pose (7,): the collision-free solution nearest to the posture.
 
-        A joint that turns more than once begins in the turn around its middle, with room to go on either way.
+        A joint with more than one turn begins in its middle turn, with room to both sides.
         """
         solutions = self.arm.solutions(pose, self.posture)
         if not len(solutions):
@@ -107,16 +107,16 @@ class Reachability:
         return np.where((wound >= lower) & (wound <= upper), wound, joints)
 
     def follow(self, poses: Array) -> tuple[Array | None, str]:
-        """Return the joint angles (N, 6) [rad] along poses (N, 7), or None and the reason why there are none."""
+        """Return the joint angles (N, 6) [rad] along poses (N, 7) and an empty reason, or None and the reason."""
         joints, motion = self.follow_as_far(poses)
         return (np.array(joints), "") if motion.joints is not None else (None, motion.reason)
 
     def follow_as_far(self, poses: Array, joints: Array | None = None) -> tuple[list[Array], Motion]:
-        """Return the joint angles (6,) [rad] along poses (N, 7) as far as the arm can follow, and its last motion.
+        """Return the joint angles (6,) [rad] along poses (N, 7) as far as the arm can follow, and the last motion.
 
         Args:
-            poses: to follow; where the last motion is refused, it was to the pose after those that were reached.
-            joints: at the first pose; None enters it.
+            poses: to follow; a refused last motion was to the pose after those reached.
+            joints: at the first pose; None takes those of :meth:`enter`.
         """
         motion = self.enter(poses[0]) if joints is None else Motion(joints)
         path: list[Array] = []
@@ -132,10 +132,10 @@ class Reachability:
         return np.array([self.scene.flange_pose(row) for row in joints])
 
     def draw_starts(self, task: Task, rng: np.random.Generator, count: int) -> tuple[Array, Array, int]:
-        """Return starts (count, 7) of a task that the arm can take, their joints (count, 6), and the number redrawn.
+        """Return reachable starts (count, 7) of a task, their joints (count, 6) [rad], and the number of refused draws.
 
         Raises:
-            BadInputError: hardly any start of the region can be taken.
+            BadInputError: hardly any start of the region is reachable.
         """
         poses: list[Array] = []
         joints: list[Array] = []
@@ -156,10 +156,10 @@ class Reachability:
         return np.array(poses), np.array(joints), refused
 
     def check(self, task: Task) -> None:
-        """Check that the arm can take the task's nominal start and goal with room to spare.
+        """Check that the task's nominal start and goal are reachable with clearance.
 
         Raises:
-            BadInputError: it cannot, or the payload is nearer than 10 mm to the scene there.
+            BadInputError: one is not, or the payload is nearer than ``least_clearance_m`` to the scene.
         """
         for name, pose in (("start", task.nominal_start), ("goal", task.goal)):
             motion = self.enter(pose)

@@ -11,13 +11,13 @@ from koopdqn.tasks.task import Task
 
 @dataclass(frozen=True)
 class Workcell:
-    """Everything that stands still while koopdqn works.
+    """A task, the arm, and the scene.
 
     Attributes:
-        task: what is to be done.
-        arm: which arm does it.
+        task: the task.
+        arm: the arm.
         scene: the compiled MuJoCo scene.
-        reachability: the arm moved kinematically in the scene, beginning nearest to how it takes the nominal start.
+        reachability: of motions in the scene, beginning nearest to the posture at the nominal start.
     """
 
     task: Task
@@ -30,7 +30,7 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
     """Return the workcell of a task and an arm.
 
     Raises:
-        BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
+        BadInputError: the scene does not compile, or the task's start or goal is not reachable in it.
     """
     scene = build_scene(task, arm)
     posture = Reachability(arm, scene, arm.step_seconds).enter(task.nominal_start).joints
@@ -49,7 +49,7 @@ def build_scene(task: Task, arm: Arm) -> Scene:
         builder = SceneBuilder(arm)
         task.furnish(builder)
         return builder.build()
-    # a file that is no XML is a SyntaxError
+    # MJCF that is no XML raises SyntaxError.
     except (ValueError, SyntaxError) as error:
         found = " ".join(str(error).split())
         raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {found}") from error
