@@ -34,8 +34,8 @@ from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.rl.labels import Labelled
 from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
+from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]

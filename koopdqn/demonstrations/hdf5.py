@@ -23,8 +23,8 @@ _ASSUMED = {"frame": _FRAME, "quaternion_order": _QUATERNION_ORDER, "units": _UN
 
 
 def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
-    """Write demonstrations to ``data/demo_i`` as robomimic lays them out; the file appears whole or not at all."""
-    # Composed in memory: on a full disk the HDF5 library takes the whole process down with it.
+    """Write demonstrations to ``data/demo_i`` in robomimic's layout, atomically."""
+    # Composed in memory: on a full disk the HDF5 library aborts the process.
     image = BytesIO()
     with h5py.File(image, "w") as file:
         data = file.create_group("data")
@@ -46,7 +46,7 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
             if item.joints is not None:
                 observations.create_dataset("joint_pos", data=item.joints)
         if demonstrations.held_out:
-            # robomimic's own way to say which demonstrations are for what
+            # robomimic's masks of training and validation demonstrations.
             names = [f"demo_{index}" for index in range(len(demonstrations))]
             learned = len(names) - demonstrations.held_out
             file.create_dataset(_LEARNED, data=np.array(names[:learned], dtype="S"))
@@ -59,8 +59,8 @@ def read_hdf5(path: Path) -> Demonstrations:
     """Read demonstrations written by :func:`write_hdf5`.
 
     Raises:
-        BadInputError: the file is missing, is no HDF5 file, is truncated, lacks what the layout asks for, or
-            says that it uses another frame, quaternion order or unit.
+        BadInputError: the file is missing, no HDF5, truncated, of another layout, or of another frame, quaternion
+            order or unit.
     """
     if not path.is_file():
         found = "something else" if path.exists() else "nothing"
@@ -121,7 +121,7 @@ def _placement(values: Any) -> Placement | None:
 
 
 def _held_out(file: h5py.File, names: list[str]) -> int:
-    """Return how many demonstrations the file marks as held out; 0 where they are not the last ones."""
+    """Return the number of held-out demonstrations in the file's masks; 0 if they are not the last ones."""
     if _HELD_OUT not in file:
         return 0
     marked = {bytes(name).decode() for name in np.asarray(file[_HELD_OUT])}
@@ -129,7 +129,7 @@ def _held_out(file: h5py.File, names: list[str]) -> int:
 
 
 def _read_env_args(text: Any) -> dict[str, Any]:
-    """Return the attribute ``env_args``, by which robomimic says where a file comes from."""
+    """Return robomimic's attribute ``env_args``, the file's origin."""
     try:
         about = json.loads(text)
     except (TypeError, ValueError):

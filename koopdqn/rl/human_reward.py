@@ -1,4 +1,4 @@
-"""Feedback in training: what is asked and remembered, what answers teach, and what withdrawing them undoes."""
+"""Human feedback in training: asking, remembering, and learning from answers, also when they are withdrawn."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -13,17 +13,17 @@ from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
 from koopdqn.rl.replay_buffer import ReplayBuffer
 
 _TOGETHER = 1024
-# A yes that the model did not expect moves it at least as far around as this.
+# Least reach of the correction by an unexpected yes, in steps.
 _LEAST_REACH_STEPS = 14.0
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How many questions may be asked, and what happens then.
+    """The largest number of questions, and what follows it.
 
     Attributes:
         most: questions; None for no limit.
-        when_spent: stop training, give no reward where the model is not trusted, or ask the scripted oracle.
+        when_spent: stop training, give no rewards outside the trust domain, or ask the scripted oracle.
     """
 
     most: int | None = None
@@ -32,12 +32,11 @@ class Budget:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a question.
+    """The result of a question.
 
     Attributes:
         right: whether the action was right; None if there was no answer.
-        reopened: local poses (7,) and actions of which other things are known than when they were last tried: their
-            answer was withdrawn, or they are what would have been right.
+        reopened: local poses (7,) and actions to try again: their answer was withdrawn, or they were named as right.
     """
 
     right: bool | None
@@ -45,16 +44,16 @@ class Outcome:
 
 
 class Feedback:
-    """The reward function together with what answers have taught.
+    """The reward function, extended by answers.
 
     Attributes:
         reward: the reward function, extended by the answers so far.
-        answers: what was answered.
-        questions: questions that reached the oracle.
-        substituted: questions that the scripted oracle answered because the budget was spent.
-        recomputed: rewards in the replay buffer that were recomputed.
-        changes: how often what is known has changed since this object was made.
-        step_back: whether wrong actions are stepped back from.
+        answers: the remembered answers.
+        questions: number of questions that reached the oracle.
+        substituted: number of questions that the scripted oracle answered because the budget was spent.
+        recomputed: number of recomputed rewards in the replay buffer.
+        changes: number of changes of the reward function and of remembered answers.
+        step_back: whether wrong actions are undone.
     """
 
     def __init__(
@@ -72,10 +71,10 @@ class Feedback:
         Args:
             reward: the reward function.
             oracle: who answers.
-            settings: what is made of answers.
-            budget: how many questions may be asked.
-            step_back: whether wrong actions are stepped back from.
-            replay: what is stored already and must follow what answers change; None if nothing is stored.
+            settings: how far answers apply.
+            budget: of questions.
+            step_back: whether wrong actions are undone.
+            replay: the buffer whose rewards follow the answers; None for none.
         """
         self.reward = reward
         self.answers = RememberedAnswers(settings)
@@ -84,7 +83,7 @@ class Feedback:
         self.recomputed = 0
         self.changes = 0
         self.step_back = step_back
-        # Memory forgets contradictory answers, but who answers may withdraw them still.
+        # Contradictory answers are forgotten, but may still be withdrawn.
         self._standing: list[int] = []
         self._base = reward
         self._oracle = oracle
@@ -100,11 +99,11 @@ class Feedback:
 
     @property
     def stopped(self) -> bool:
-        """Whether training is over because the budget is spent."""
+        """Whether training ends because the budget is spent."""
         return self.spent and self._budget.when_spent == "stop"
 
     def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
-        """Return what is known without asking, answers included; see :meth:`IntentReward.evaluate_actions`."""
+        """Return the evaluation of :meth:`IntentReward.evaluate_actions`, with remembered answers."""
         evaluation = self.reward.evaluate_actions(poses, steps, starts)
         places = self.answers.recall(evaluation.local, evaluation.margin)
         recalled = (places >= 0) & ~evaluation.known
@@ -115,15 +114,15 @@ class Feedback:
         return evaluation
 
     def contradict(self, point: Array) -> None:
-        """Notice that no action is left from a local pose (7,); see :meth:`RememberedAnswers.contradict`."""
+        """Handle a local pose (7,) without any action left; see :meth:`RememberedAnswers.contradict`."""
         self.changes += self.answers.contradict(point)
 
     def hopeless_near(self, point: Array) -> bool:
-        """Return whether nothing at all was right near a local pose (7,)."""
+        """Return whether no action was left near a local pose (7,)."""
         return self.answers.hopeless_near(point, _LEAST_REACH_STEPS * self._base.task.step_m)
 
     def extension_contains(self, yeses: Array, point: Array, step: int) -> bool:
-        """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,), all placed."""
+        """Return whether yeses at local poses (M, 7) would extend the trust domain to a local pose (7,)."""
         if not self._settings.extend:
             return False
         trust = self._base.trust.extended(yeses, self._radii(yeses))
@@ -134,11 +133,11 @@ class Feedback:
 
         Args:
             question: about the action.
-            evaluation: of actions; in ``row`` that of the pose asked about.
+            evaluation: of actions, with the pose asked about in ``row``.
             row: of the evaluation.
 
         Raises:
-            PauseRequested: who answers wants to go on another time.
+            PauseRequested: whoever answers pauses the run.
         """
         number, outcome = self._substituted(question) if self.spent else self._asked(question, evaluation, row)
         if outcome.right is not None:
@@ -168,7 +167,7 @@ class Feedback:
         if answer.better is not None and answer.better != question.action:
             said.append((answer.better, True))
         if said:
-            # Where answers teach nothing beyond themselves, no other action need be evaluated anew.
+            # Without extension and memory an answer changes no other evaluation.
             self.changes += self._settings.extend or self._settings.remember_m > 0
             self._standing.append(number)
         for action, right in said:
@@ -192,12 +191,12 @@ class Feedback:
         return np.full(len(poses), self._settings.reach_m)
 
     def _reaches(self, poses: Array) -> Array:
-        """Return how far unexpected yeses at local poses (M, 7) move the model [m]: not into what was demonstrated."""
+        """Return the reaches (M,) [m] of unexpected yeses at local poses (M, 7): up to the demonstrated domain."""
         least = _LEAST_REACH_STEPS * self._base.task.step_m
         return np.maximum(self._base.trust.gap(poses), least)
 
     def _withdraw(self, count: int) -> list[tuple[Array, int]]:
-        """Withdraw the latest answers; return the local poses (7,) and actions that they were about."""
+        """Withdraw the latest ``count`` answers; return their local poses (7,) and actions."""
         latest = self._standing[-count:]
         del self._standing[-count:]
         self.changes += 1
@@ -213,7 +212,7 @@ class Feedback:
         return about
 
     def _recompute(self, poses: Array) -> None:
-        """Give stored rewards of the model near local poses (M, 7) their present values; untrusted ones leave."""
+        """Recompute stored rewards of the model near local poses (M, 7); remove those no longer trusted."""
         replay = self._replay
         if replay is None:
             return
@@ -235,12 +234,12 @@ class Feedback:
             replay.remove(lost)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return everything held, as arrays."""
+        """Return the state as arrays."""
         counters = {name: np.array(getattr(self, name)) for name in _COUNTERS}
         return {**self.answers.state(), **counters, "standing": np.array(self._standing, dtype=np.int64)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Hold what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         self.answers.restore(state)
         for name in _COUNTERS:
             setattr(self, name, int(state[name]))

@@ -1,6 +1,6 @@
-"""Where episodes begin: in and around the start region, or along a demonstration."""
+"""Starts of episodes: in and around the start region, or along a demonstration."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,11 +18,11 @@ _MOST_REGIONS = 20
 
 @dataclass(frozen=True)
 class EpisodeStart:
-    """How an episode begins.
+    """The start of an episode.
 
     Attributes:
         pose: (7,) of the flange.
-        start: (7,) where it began, or would have begun to be here now.
+        start: (7,) where it began; for one that begins along a demonstration, a start of the region.
         joints: (6,) joint angles [rad].
         limit: steps after which it is truncated.
         exploring: whether it is a short episode for exploring.
@@ -35,28 +35,26 @@ class EpisodeStart:
     exploring: bool
 
 
-@dataclass
+@dataclass(frozen=True)
 class StartSampler:
-    """Draws where episodes begin: in and around the task's start region, or somewhere along a demonstration.
+    """Draws starts of episodes: in and around the task's start region, or along a demonstration.
 
-    Some episodes are exploring ones, cut after a few steps. EpisodeStart along the demonstrations shows the
-    agent the whole tube from the first moment, and what to do a little beside the path, where its own
-    mistakes will take it; beginning often in and around the start region shows it that region's corners, and the way
-    from farther out.
+    Exploring episodes end after a few steps. Those along the demonstrations show the agent the whole tube from the
+    first moment, and its surroundings, where its own mistakes will take it. Those in and around the start region show
+    its corners, and the way from farther out.
 
     Attributes:
         task: gives the start region.
-        reachability: refuses what the arm cannot take.
-        frame: in which demonstrations are told.
-        trajectories: demonstrated poses (N, 7) at the agent's step, local there.
-        share: share of exploring starts.
-        region_share: share of the exploring starts that lie in and around the start region, as all others do.
-        region_scale: how many times wider than the start region those may lie.
-        spread: standard deviation of the other starts' offset from a demonstration [m].
-        spread_rad: of how far their turn toward the goal's orientation is ahead [rad].
+        reachability: of the arm; unreachable draws are refused.
+        frame: the start frame of the demonstrations.
+        trajectories: demonstrated poses (N, 7) at the agent's step, in that frame.
+        share: share of exploring episodes.
+        region_share: share of those that begin in and around the start region, as all others do.
+        region_scale: largest scale of the start region.
+        spread: standard deviation of the offset from a demonstration [m].
+        spread_rad: standard deviation of the turn ahead toward the goal's orientation [rad].
         exploring_steps: step limit of exploring episodes.
         step_limit: step limit of the others.
-        refused: how many draws were drawn again.
     """
 
     task: Task
@@ -70,13 +68,12 @@ class StartSampler:
     spread_rad: float = 0.0
     exploring_steps: int = 1
     step_limit: int = 1
-    refused: int = field(default=0)
 
     @classmethod
     def of_agent(
         cls, workcell: Workcell, frame: StartFrame, trajectories: list[Array], agent: AgentSettings, step_limit: int
     ) -> "StartSampler":
-        """Return the sampler of an agent, given demonstrated poses (N, 7) in a frame and whole episodes' limit."""
+        """Return the sampler with an agent's settings."""
         return cls(
             workcell.task,
             workcell.reachability,
@@ -92,7 +89,7 @@ class StartSampler:
         )
 
     def draw(self, rng: np.random.Generator) -> EpisodeStart:
-        """Return where the next episode begins."""
+        """Return the start of the next episode."""
         exploring = rng.random() < self.share
         if exploring and rng.random() >= self.region_share:
             return self._along_demonstration(rng)
@@ -102,18 +99,17 @@ class StartSampler:
     def _around_region(self, rng: np.random.Generator) -> tuple[Array, Array]:
         left = _MOST_REGIONS
         while True:
-            # Regions evenly spread over their volumes: far corners are many, and draws crowd the middle all the same.
+            # Scales uniform in volume; otherwise draws would crowd the middle.
             scale = (1.0 + (self.region_scale**3 - 1.0) * float(rng.random())) ** (1 / 3)
             region = self.task.with_starts_scaled(scale)
             left -= 1
             try:
-                poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
+                poses, joints, _ = self.reachability.draw_starts(region, rng, 1)
             except BadInputError:
-                # Far out there may be little that the arm can take, and more in a narrower region.
+                # A narrower region may hold more reachable starts.
                 if not left:
                     raise
                 continue
-            self.refused += refused
             return poses[0], joints[0]
 
     def _along_demonstration(self, rng: np.random.Generator) -> EpisodeStart:
@@ -123,7 +119,7 @@ class StartSampler:
             pose = trajectory[index].copy()
             pose[:3] += rng.normal(scale=self.spread, size=3)
             if self.task.orientation == "learned":
-                # A turn that runs ahead of the position or behind it.
+                # The turn may be ahead of the position or behind it.
                 ahead = rng.normal(scale=self.spread_rad)
                 pose[3:] = turned_toward(pose[3:], self.task.goal[3:], ahead)
             start = self.task.draw_starts(rng, 1)[0]
@@ -131,7 +127,6 @@ class StartSampler:
             motion = self.reachability.enter(pose)
             if motion.joints is not None and not self.task.reached(pose[None])[0]:
                 return EpisodeStart(pose, start, motion.joints, self.exploring_steps, True)
-            self.refused += 1
         raise WorkFailedError(
             f"task {self.task.name}: the arm must be able to begin along the demonstrations,"
             f" found {_MOST_DRAWS} draws in a row refused"

@@ -17,13 +17,13 @@ from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
-from koopdqn.rl.footprint import check_device, check_memory
 from koopdqn.rl.history import Check
 from koopdqn.rl.human_reward import Budget
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
+from koopdqn.rl.settings import check_device, check_memory
 
 POLICY = "policy.safetensors"
 REPORT = "train.json"
