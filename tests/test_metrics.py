@@ -155,7 +155,7 @@ def test_references_are_the_demonstrators_own_paths() -> None:
     for start, path in zip(starts, reference_paths(task, starts, 700), strict=True):
         alone = task.demonstrator.roll_out(start, 700)
         assert len(path) == len(alone)
-        # Which of two equally near points of its path the law takes may depend on rounding.
+        # Which of two equally near points of its path the expert takes may depend on rounding.
         assert pose.position_distance(path, alone).max() < 1e-4
 
 

@@ -41,7 +41,7 @@ from koopdqn.tasks.workcell import Workcell
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
 NEAR_ONLY = {"reach_m": 0.005}
-"""A yes extends trust by two steps, so that an episode gathers several questions that it does not settle."""
+"""A yes extends trust by two steps, so that an episode puts off several questions that it does not settle."""
 
 
 @pytest.fixture

@@ -80,8 +80,8 @@ def test_demonstrated_states_are_inside(matching: Matching) -> None:
 def test_nearly_every_demonstrated_state_of_the_shelf_is_inside(
     fitted: Fitted, trajectories: list[Array], shelf_task: ShelfTask
 ) -> None:
-    inside = [fitted.trust.contains(rows, np.arange(len(rows))).mean() for rows in trajectories]
-    assert np.mean(inside) > 0.95
+    contained = [fitted.trust.contains(rows, np.arange(len(rows))).mean() for rows in trajectories]
+    assert np.mean(contained) > 0.95
     far = shelf_task.draw_starts(np.random.default_rng(0), 50)
     far[:, 2] += 0.3
     assert not fitted.trust.contains(far, np.zeros(50, dtype=int)).any()

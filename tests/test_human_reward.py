@@ -425,7 +425,7 @@ class _Refusing:
         return [self.move(*each) for each in zip(poses, joints, strict=True)]
 
 
-def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_vouch_for(
+def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_support(
     parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]
 ) -> None:
     clerk = Clerk()

@@ -26,25 +26,25 @@ def corners(task: ShelfTask) -> Array:
     )
 
 
-def test_every_step_is_one_step_long_until_the_goal(law: Expert) -> None:
-    passed = law.roll_out(pose.make([0.0, 0.03, -0.01], UPRIGHT), 1000)
+def test_every_step_is_one_step_long_until_the_goal(expert: Expert) -> None:
+    passed = expert.roll_out(pose.make([0.0, 0.03, -0.01], UPRIGHT), 1000)
     gaps = np.linalg.norm(np.diff(passed[:, :3], axis=0), axis=1)
     np.testing.assert_allclose(gaps[:-1], STEP, atol=1e-12)
     assert gaps[-1] <= STEP * (1 + 1e-12)
-    np.testing.assert_allclose(passed[-1], law.goal, atol=1e-6)
+    np.testing.assert_allclose(passed[-1], expert.goal, atol=1e-6)
 
 
-def test_the_goal_is_where_it_rests(law: Expert) -> None:
-    np.testing.assert_array_equal(law.next_pose(law.goal[None])[0], law.goal)
+def test_the_goal_is_where_it_rests(expert: Expert) -> None:
+    np.testing.assert_array_equal(expert.next_pose(expert.goal[None])[0], expert.goal)
 
 
 def test_it_comes_to_the_goal_from_anywhere_in_the_start_region_and_holds_the_path(shelf_task: ShelfTask) -> None:
-    law = shelf_task.demonstrator
+    expert = shelf_task.demonstrator
     path = shelf_task.nominal_path
     starts = np.concatenate([corners(shelf_task), shelf_task.draw_starts(np.random.default_rng(0), 20)])
     passed = [starts]
     for _ in range(int(2 * path.length / shelf_task.step_m)):
-        passed.append(law.next_pose(passed[-1]))
+        passed.append(expert.next_pose(passed[-1]))
     assert pose.position_distance(passed[-1], shelf_task.goal).max() < 1e-6
     assert pose.rotation_distance(passed[-1], shelf_task.goal).max() < 1e-6
     # Ten look-ahead distances further on, the path is held, but for cutting its bends a little.
@@ -53,14 +53,14 @@ def test_it_comes_to_the_goal_from_anywhere_in_the_start_region_and_holds_the_pa
 
 
 def test_it_is_a_function_of_the_pose_alone(shelf_task: ShelfTask) -> None:
-    law = shelf_task.demonstrator
+    expert = shelf_task.demonstrator
     poses = shelf_task.draw_starts(np.random.default_rng(1), 50)
-    together = law.next_pose(poses)
-    law.roll_out(poses[3], 20)
-    backward = law.next_pose(poses[::-1])[::-1]
+    together = expert.next_pose(poses)
+    expert.roll_out(poses[3], 20)
+    backward = expert.next_pose(poses[::-1])[::-1]
     np.testing.assert_allclose(backward, together, atol=1e-12)
     for point, reached in zip(poses[:10], together, strict=False):
-        np.testing.assert_allclose(law.next_pose(point[None])[0], reached, atol=1e-12)
+        np.testing.assert_allclose(expert.next_pose(point[None])[0], reached, atol=1e-12)
 
 
 def test_held_orientation_is_the_goals(shelf_task: ShelfTask) -> None:
