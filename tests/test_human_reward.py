@@ -26,8 +26,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.tasks.reachability import COLLISION, Motion
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import COLLISION, Motion, Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}

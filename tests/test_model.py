@@ -34,7 +34,7 @@ def test_predictions_follow_demonstrations_not_in_the_fit(
     trajectories: list[Array], parts: Parts, intent: str, share: float
 ) -> None:
     """Of a step; one that leads back to the mean demonstration heads less along the one left out."""
-    model = IntentModel.fit(trajectories[1:], parts.task, load_parts(f"intent={intent}").intent)
+    model = load_parts(f"intent={intent}").intent.fit(trajectories[1:], parts.task)
     held_out = trajectories[0]
     error = pose.position_distance(model.predict(held_out[:-1]), held_out[1:])
     assert np.median(error) < share * parts.task.step_m
@@ -78,7 +78,7 @@ def test_rolling_out_is_predicting_again_and_again(fitted: Fitted, parts: Parts)
 
 
 def test_the_papers_model_is_uncentred_and_of_demonstrated_pairs_alone(paper: Parts, trajectories: list[Array]) -> None:
-    intent = IntentModel.fit(trajectories, paper.task, paper.intent)
+    intent = paper.intent.fit(trajectories, paper.task)
     assert isinstance(intent, SeparateIntent)
     model = intent.position
     np.testing.assert_array_equal(model.center, 0.0)
@@ -106,7 +106,7 @@ def rms(values: Array) -> float:
 @pytest.mark.parametrize("intent", ["fourier", "paper"])
 def test_a_turn_is_predicted_where_orientation_is_learned(intent: str) -> None:
     task, settings, shown = knife(intent)
-    model = IntentModel.fit(shown[1:], task, settings)
+    model = settings.fit(shown[1:], task)
     assert set(model.matrices) == {"K_p", "K_o"}
     error = pose.rotation_distance(model.predict(shown[0][:-1]), shown[0][1:])
     turned = pose.rotation_distance(shown[0][1:], shown[0][:-1])
@@ -122,7 +122,7 @@ def whole() -> Whole:
     task, settings, shown = knife("pose")
     frame = settings.start_frame(shown, task)
     placed = frame.each(shown)
-    model = IntentModel.fit(placed, task, settings).within(frame)
+    model = settings.fit(placed, task).within(frame)
     return task, settings, model, mean_poses(placed, max(len(rows) for rows in placed))
 
 
@@ -181,7 +181,7 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
 @pytest.mark.parametrize("center", [True, False])
 def test_the_center_is_the_goal_only_where_said(parts: Parts, trajectories: list[Array], center: bool) -> None:
     settings = load_parts("intent=fourier").intent.model_copy(update={"goal_centered": center})
-    intent = IntentModel.fit(trajectories[:2], parts.task, settings)
+    intent = settings.fit(trajectories[:2], parts.task)
     assert isinstance(intent, SeparateIntent)
     model = intent.position
     np.testing.assert_array_equal(model.center, parts.task.goal[:3] if center else np.zeros(3))

@@ -51,7 +51,7 @@ def domain(matching: Matching, sigmas: float = 3.0, signs: list[Array] | None = 
 
 
 def drawn_around(shown: list[Array], chosen: BoxSettings, signs: list[Array] | None = None) -> Box:
-    box = TrustDomain.fit(shown, signs or all_right(shown), FRAME, chosen)
+    box = chosen.fit(shown, signs or all_right(shown), FRAME)
     assert isinstance(box, Box)
     return box
 
@@ -237,7 +237,7 @@ def test_trust_everywhere_and_nowhere_ask_nothing_of_the_pose(x: float, step: in
     wrong = [each * [0.0, 1.0] for each in all_right(shown)]
     for matching, trusted in (("everywhere", True), ("nowhere", False)):
         chosen = settings("any").model_copy(update={"matching": matching})
-        drawn = TrustDomain.fit(shown, wrong, FRAME, chosen)
+        drawn = chosen.fit(shown, wrong, FRAME)
         assert drawn.contains(at(x), np.array([step]))[0] == trusted
         assert (drawn.outside(at(x)[0], step) == "") == trusted
 

@@ -37,7 +37,7 @@ def all_right(shown: list[Array]) -> list[Array]:
 
 
 def tube(shown: list[Array], signs: list[Array] | None = None) -> Tube:
-    drawn = TrustDomain.fit(shown, signs or all_right(shown), FRAME, default())
+    drawn = default().fit(shown, signs or all_right(shown), FRAME)
     assert isinstance(drawn, Tube)
     return drawn
 

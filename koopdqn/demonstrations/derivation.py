@@ -22,7 +22,7 @@ from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
 
 if TYPE_CHECKING:
-    from koopdqn.tasks.reachability import Reachability
+    from koopdqn.tasks.workcell import Reachability
 
 # The default step [m], and its bounds: it is shorter where a demonstration would have too few steps, longer where it
 # would have too many.

@@ -12,8 +12,8 @@ from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, at_arc_lengths, hausdorff
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Reachability
 
 _HARMONICS = 3
 _SUBSTEPS = 4

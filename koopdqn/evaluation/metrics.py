@@ -12,10 +12,10 @@ from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviat
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.paths import arc_lengths, discrete_frechet, to_count
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.rollout import FAILURES, SUCCESS, Episode
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Reachability
 
 SAMPLES = 200
 """Points at equal shares of arc length at which a path and its reference are compared."""

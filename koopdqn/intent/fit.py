@@ -60,14 +60,14 @@ def held_out_contained(
 
     Args:
         trajectories: demonstrated poses (N, 7).
-        signs: (N − 1, L, 2) for each, as :meth:`TrustDomain.fit` takes them.
+        signs: (N − 1, L, 2) for each, as :meth:`TrustSettings.fit` takes them.
         task: gives the frame of angles.
         settings: how the domains are fitted.
     """
     contained = []
     for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
         others = [i for i in range(len(trajectories)) if i != index]
-        fold = TrustDomain.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame, settings)
+        fold = settings.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame)
         contained.append(fold.contains(held_out, np.arange(len(held_out))))
     return contained
 
@@ -247,12 +247,12 @@ def fit(
     frame = intent.start_frame(shown, task)
     trajectories = frame.each(shown)
     found = cross_validate(trajectories, task, intent, advance)
-    model = IntentModel.fit(trajectories, task, intent.with_ridge(found.ridge)).within(frame)
+    model = intent.with_ridge(found.ridge).fit(trajectories, task).within(frame)
     # A single demonstration cannot be left out: all its signs count as right.
     signs = jackknife_signs(found.folds, trajectories, task, reward.prediction, trust.doubts)
     if not signs:
         signs = [np.ones((len(trajectories[0]) - 1, len(trust.doubts), 2))]
-    domain = TrustDomain.fit(trajectories, signs, task.frame, trust)
+    domain = trust.fit(trajectories, signs, task.frame)
     first = next(iter(model.matrices.values()))
     turning = model.matrices.get("K_o")
     learned = task.orientation == "learned"

@@ -21,20 +21,18 @@ def snapshot_pairs(trajectories: list[Array]) -> tuple[Array, Array]:
     return before, after
 
 
-def koopman_matrix(before: Array, after: Array, ridge: float = 0.0) -> Array:
-    """Return the Koopman matrix K (D, D) of lifted pairs (M, D) → (M, D), Eqs. 9–12.
-
-    With ``ridge`` 0 it is the paper's K = A G†, computed as Y X†: the same matrix (A = YXᵀ/M, G = XXᵀ/M) without
-    squaring the condition number. With ``ridge`` λ > 0 it is K = I + (A − G)(G + λI)⁻¹, which regularises toward the
-    identity: drawing K to zero would shrink positions.
-    """
-    return koopman_rows(before, after, np.ones(len(before)), (ridge,))[0]
-
-
 def koopman_rows(before: Array, after: Array, weight: Array, ridges: tuple[float, ...]) -> list[Array]:
-    """Return the first R rows (R, D) of K for each ridge, from weighted pairs (M, D) → the first R entries (M, R).
+    """Return the first R rows (R, D) of the Koopman matrix K for each ridge, Eqs. 9–12.
 
-    One-step prediction needs only the state's rows. The sums over the pairs are shared by all ridges.
+    With a ridge of 0 it is the paper's K = A G†, computed as Y X†: the same matrix (A = YXᵀ/M, G = XXᵀ/M) without
+    squaring the condition number. With a ridge λ > 0 it is K = I + (A − G)(G + λI)⁻¹, which regularises toward the
+    identity: drawing K to zero would shrink positions. The sums over the pairs are shared by all ridges.
+
+    Args:
+        before: lifted states (M, D).
+        after: the first R entries (M, R) of their lifted successors; one-step prediction needs only the state's.
+        weight: of the pairs (M,).
+        ridges: λ of each.
     """
     size, rows = before.shape[1], after.shape[1]
     root = np.sqrt(weight)[:, None]
@@ -56,7 +54,7 @@ def koopman_rows(before: Array, after: Array, weight: Array, ridges: tuple[float
 def koopman_of_blocks(blocks: Iterable[tuple[Array, Array, Array]], ridge: float = 0.0) -> Array:
     """Return K (D, D) of lifted pairs in blocks (M, D) → (M, D) with weights (M,), in memory for one block.
 
-    It equals :func:`koopman_matrix` up to rounding. With ``ridge`` 0 only the triangular factor of the pairs is kept
+    It equals :func:`koopman_rows` up to rounding. With ``ridge`` 0 only the triangular factor of the pairs is kept
     (tall-skinny QR, Demmel et al. 2012), which does not square the condition number; otherwise the sums A and G.
 
     Raises:

@@ -58,11 +58,6 @@ class IntentModel(ABC):
     goal: Array
     start_frame: StartFrame = STILL
 
-    @classmethod
-    def fit(cls, trajectories: list[Array], task: Task, settings: IntentSettings) -> "IntentModel":
-        """Return the model fitted to pose trajectories (N, 7) in the start frame, at the agent's step."""
-        return settings.fit(trajectories, task)
-
     @abstractmethod
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7), Eqs. 13, 14."""

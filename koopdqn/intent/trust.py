@@ -37,7 +37,14 @@ class TrustSettings(Settings, ABC):
 
     @abstractmethod
     def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> "TrustDomain":
-        """Return the domain of pose trajectories (N, 7); see :meth:`TrustDomain.fit`."""
+        """Return the domain of pose trajectories (N, 7).
+
+        Args:
+            trajectories: demonstrated poses at the agent's step.
+            signs: (N − 1, L, 2) for each, at every state but the last and for each of L doubts: how many rewards have
+                the right sign in leave-one-out, of how many (:func:`koopdqn.intent.validation.jackknife_signs`).
+            frame: (2, 4) of angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
+        """
 
     def nominal(self, count: int) -> float | None:
         """Return the nominal coverage of new demonstrations with ``count`` demonstrations; None if there is none."""
@@ -110,19 +117,6 @@ class TrustDomain(ABC):
     right: Array
     doubt: Array
     balls: Balls
-
-    @classmethod
-    def fit(cls, trajectories: list[Array], signs: list[Array], frame: Array, settings: TrustSettings) -> "TrustDomain":
-        """Return the domain of pose trajectories (N, 7).
-
-        Args:
-            trajectories: demonstrated poses at the agent's step.
-            signs: (N − 1, L, 2) for each, at every state but the last and for each of L doubts: how many rewards have
-                the right sign in leave-one-out, of how many (:func:`koopdqn.intent.validation.jackknife_signs`).
-            frame: (2, 4) of angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
-            settings: how it is fitted.
-        """
-        return settings.fit(trajectories, signs, frame)
 
     @classmethod
     def restore(cls, arrays: Mapping[str, np.ndarray], settings: TrustSettings) -> "TrustDomain":
@@ -222,7 +216,7 @@ def calibrate(
 
     Args:
         places: (N − 1,) for each demonstration, the place of each of its states.
-        signs: (N − 1, L, 2) for each, as :meth:`TrustDomain.fit` takes them.
+        signs: (N − 1, L, 2) for each, as :meth:`TrustSettings.fit` takes them.
         count: number S of places.
         window: neighbours to either side that count too; a place without states takes the values of the nearest.
         settings: the stated share, and the L doubts.

@@ -9,7 +9,7 @@ from koopdqn.intent.reward import ASKED, BY_MODEL, CERTIFIED, RULE, TRUSTED, Act
 from koopdqn.pose import Array
 from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.reachability import Motion
+from koopdqn.tasks.workcell import Motion
 
 Motions = dict[tuple[int, int], Motion]
 """Motions of the arm, by the index of the episode and the action."""

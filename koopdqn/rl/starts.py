@@ -7,10 +7,9 @@ import numpy as np
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.pose import Array, turned_toward
 from koopdqn.rl.settings import AgentSettings
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import Reachability, Workcell
 
 _MOST_DRAWS = 1000
 _MOST_REGIONS = 20

@@ -13,8 +13,7 @@ from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered,
 from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.rl.starts import EpisodeStart, StartSampler
 from koopdqn.tasks.actions import COUNT
-from koopdqn.tasks.reachability import Motion
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import Motion, Workcell
 
 # Poses that differ by less [m, or in a quaternion's entries] are the same.
 _SAME = 1e-12

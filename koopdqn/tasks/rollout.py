@@ -9,8 +9,8 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import reached_poses
-from koopdqn.tasks.reachability import REASONS, Reachability
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import REASONS, Reachability
 
 SUCCESS: Final = "success"
 STEP_LIMIT: Final = "step_limit"

@@ -21,8 +21,7 @@ from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.scene import Scene
 from koopdqn.tasks.demonstrated import DemonstratedTask
-from koopdqn.tasks.reachability import Reachability
-from koopdqn.tasks.workcell import Workcell, build_scene, open_workcell
+from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell
 
 DEMONSTRATIONS = "demos.hdf5"
 
