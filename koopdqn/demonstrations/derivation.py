@@ -198,12 +198,12 @@ def _taken_out(recorded: Demonstration, smoothed: Demonstration) -> float:
 
 def _about_ends(task: DemonstratedTask, spread: float) -> str:
     start, goal = (np.round(each[pose.POSITION], 4).tolist() for each in (task.nominal_start, task.goal))
-    follows = "keep beside the others what their start lies beside theirs, fading" if task.follows_start else "meet"
+    follows = "keep their offset, fading toward the goal" if task.follows_start else "meet the others"
     half = [round(1e3 * value) for value in task.start_half_range_m]
     return (
         f"start: around {start} m, within ±{task.start_margin_m * 1e3:g} mm of a demonstrated one, together ±{half} mm;"
         f" goal: {goal} m, the mean of ends up to {spread * 1e3:.1f} mm from it;"
-        f" paths from elsewhere {follows}"
+        f" paths from other starts {follows}"
     )
 
 

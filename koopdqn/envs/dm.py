@@ -48,7 +48,7 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
             seed: of the starts.
             feedback: what is made of answers beyond the reward of the action asked about.
         """
-        starts = StartSampler(workcell.task, workcell.reachability, reward.model.start_frame, [], step_limit=step_limit)
+        starts = StartSampler(workcell, reward.model.start_frame, [], step_limit)
         rng = np.random.default_rng([seed, 5])
         self._task = workcell.task
         self._frame = reward.model.start_frame

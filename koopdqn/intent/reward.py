@@ -128,7 +128,7 @@ class IntentReward:
         return self.settings.size * (1.0 if right else -1.0) + (self.settings.goal if right and at_goal else 0.0)
 
     def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
-        """Return what is known of all ten actions from poses (N, 7) after ``steps`` (N,) steps.
+        """Return the evaluation of all ten actions from poses (N, 7) after ``steps`` (N,) steps.
 
         Args:
             poses: where the episodes are.

@@ -115,8 +115,8 @@ class WholePoseSettings(IntentSettings):
         way = rng.normal(size=(len(near), 3))
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         turn = pose.from_rotation_vector(rng.normal(scale=self.far_rad, size=(len(near), 3)))
-        strewn = pose.make(near[:, pose.POSITION] + size * way, pose.multiply(near[:, pose.QUATERNION], turn))
-        states = np.concatenate([mean, strewn])
+        scattered = pose.make(near[:, pose.POSITION] + size * way, pose.multiply(near[:, pose.QUATERNION], turn))
+        states = np.concatenate([mean, scattered])
         position = states[:, pose.POSITION]
         ahead = path.nearest(position) + max(1, round(task.step_m / SPACING_M))
         turned = shown[np.minimum(ahead, len(shown) - 1), pose.QUATERNION]

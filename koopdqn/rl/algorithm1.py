@@ -92,7 +92,7 @@ class Trainer:
         self.replay = ReplayBuffer(agent.replay, size(self._task))
         self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back, replay=self.replay)
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
-        starts = StartSampler.of_agent(workcell, reward.model.start_frame, trajectories, agent, self.step_limit)
+        starts = StartSampler(workcell, reward.model.start_frame, trajectories, self.step_limit, agent)
         self.env = VectorEnv(workcell, self.feedback, starts, agent.episodes_at_once, self._explore_rng, asking)
         self._labelling: Labelling = LabelAllKnown() if agent.trials == "all" else LabelChosen()
         self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)

@@ -12,7 +12,7 @@ class EventLog(SummaryWriter):
     """Writes TensorBoard events: checks by actions tried, episodes by their number."""
 
     def __init__(self, folder: Path, trainer: Trainer) -> None:
-        """Write below ``folder/events``; of a resumed run only what is new."""
+        """Write below ``folder/events``; for a resumed run only new events."""
         self._trainer = trainer
         self._episodes = len(trainer.history.rewards)
         super().__init__(str(folder / "events"), purge_step=trainer.env_steps or None)

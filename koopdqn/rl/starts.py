@@ -8,8 +8,7 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.pose import Array, turned_toward
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.task import Task
-from koopdqn.tasks.workcell import Reachability, Workcell
+from koopdqn.tasks.workcell import Workcell
 
 _MOST_DRAWS = 1000
 _MOST_REGIONS = 20
@@ -43,90 +42,63 @@ class StartSampler:
     its corners, and the way from farther out.
 
     Attributes:
-        task: gives the start region.
-        reachability: of the arm; unreachable draws are refused.
+        workcell: gives the start region; unreachable draws are refused.
         frame: the start frame of the demonstrations.
         trajectories: demonstrated poses (N, 7) at the agent's step, in that frame.
-        share: share of exploring episodes.
-        region_share: share of those that begin in and around the start region, as all others do.
-        region_scale: largest scale of the start region.
-        spread: standard deviation of the offset from a demonstration [m].
-        spread_rad: standard deviation of the turn ahead toward the goal's orientation [rad].
-        exploring_steps: step limit of exploring episodes.
-        step_limit: step limit of the others.
+        step_limit: of all but exploring episodes.
+        agent: how it explores; None for no exploring.
     """
 
-    task: Task
-    reachability: Reachability
+    workcell: Workcell
     frame: StartFrame
     trajectories: list[Array]
-    share: float = 0.0
-    region_share: float = 0.0
-    region_scale: float = 1.0
-    spread: float = 0.0
-    spread_rad: float = 0.0
-    exploring_steps: int = 1
-    step_limit: int = 1
-
-    @classmethod
-    def of_agent(
-        cls, workcell: Workcell, frame: StartFrame, trajectories: list[Array], agent: AgentSettings, step_limit: int
-    ) -> "StartSampler":
-        """Return the sampler with an agent's settings."""
-        return cls(
-            workcell.task,
-            workcell.reachability,
-            frame,
-            trajectories,
-            agent.exploring_starts,
-            agent.exploring_in_region,
-            agent.exploring_scale,
-            agent.exploring_spread_m,
-            agent.exploring_spread_rad,
-            agent.exploring_steps,
-            step_limit,
-        )
+    step_limit: int
+    agent: AgentSettings | None = None
 
     def draw(self, rng: np.random.Generator) -> EpisodeStart:
         """Return the start of the next episode."""
-        exploring = rng.random() < self.share
-        if exploring and rng.random() >= self.region_share:
-            return self._along_demonstration(rng)
+        agent, drawn = self.agent, rng.random()
+        if agent is None or drawn >= agent.exploring_starts:
+            pose, joints = self._around_region(rng)
+            return EpisodeStart(pose, pose, joints, self.step_limit, False)
+        if rng.random() >= agent.exploring_in_region:
+            return self._along_demonstration(rng, agent)
         pose, joints = self._around_region(rng)
-        return EpisodeStart(pose, pose, joints, self.exploring_steps if exploring else self.step_limit, exploring)
+        return EpisodeStart(pose, pose, joints, agent.exploring_steps, True)
 
     def _around_region(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        left = _MOST_REGIONS
-        while True:
+        largest = 1.0 if self.agent is None else self.agent.exploring_scale
+        for left in reversed(range(_MOST_REGIONS)):
             # Scales uniform in volume; otherwise draws would crowd the middle.
-            scale = (1.0 + (self.region_scale**3 - 1.0) * float(rng.random())) ** (1 / 3)
-            region = self.task.with_starts_scaled(scale)
-            left -= 1
+            scale = (1.0 + (largest**3 - 1.0) * float(rng.random())) ** (1 / 3)
+            region = self.workcell.task.with_starts_scaled(scale)
             try:
-                poses, joints, _ = self.reachability.draw_starts(region, rng, 1)
+                poses, joints, _ = self.workcell.reachability.draw_starts(region, rng, 1)
             except BadInputError:
                 # A narrower region may hold more reachable starts.
                 if not left:
                     raise
                 continue
-            return poses[0], joints[0]
+            break
+        return poses[0], joints[0]
 
-    def _along_demonstration(self, rng: np.random.Generator) -> EpisodeStart:
+    def _along_demonstration(self, rng: np.random.Generator, agent: AgentSettings) -> EpisodeStart:
+        task, reachability = self.workcell.task, self.workcell.reachability
         for _ in range(_MOST_DRAWS):
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]
             index = rng.integers(len(trajectory))
             pose = trajectory[index].copy()
-            pose[:3] += rng.normal(scale=self.spread, size=3)
-            if self.task.orientation == "learned":
+            pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
+            if task.orientation == "learned":
                 # The turn may be ahead of the position or behind it.
-                ahead = rng.normal(scale=self.spread_rad)
-                pose[3:] = turned_toward(pose[3:], self.task.goal[3:], ahead)
-            start = self.task.draw_starts(rng, 1)[0]
+                ahead = rng.normal(scale=agent.exploring_spread_rad)
+                pose[3:] = turned_toward(pose[3:], task.goal[3:], ahead)
+            start = task.draw_starts(rng, 1)[0]
             pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
-            motion = self.reachability.enter(pose)
-            if motion.joints is not None and not self.task.reached(pose[None])[0]:
-                return EpisodeStart(pose, start, motion.joints, self.exploring_steps, True)
+            motion = reachability.enter(pose)
+            if motion.joints is not None and not task.reached(pose[None])[0]:
+                return EpisodeStart(pose, start, motion.joints, agent.exploring_steps, True)
         raise WorkFailedError(
-            f"task {self.task.name}: the arm must be able to begin along the demonstrations,"
+            f"task {task.name}: the arm must be able to begin along the demonstrations,"
             f" found {_MOST_DRAWS} draws in a row refused"
         )

@@ -63,7 +63,7 @@ class Sqil:
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
-        self._starts = StartSampler.of_agent(workcell, frame, frame.each(trajectories), agent, step_limit)
+        self._starts = StartSampler(workcell, frame, frame.each(trajectories), step_limit, agent)
         self._batch = Episodes.empty(agent.episodes_at_once)
         self._begun = 0
         for index in range(len(self._batch)):
