@@ -182,6 +182,12 @@ def rotation_distance(a: ArrayLike, b: ArrayLike) -> Array:
     return angle_of(multiply(a[..., QUATERNION], conjugate(b[..., QUATERNION])))
 
 
+def difference(poses: Array, others: Array) -> Array:
+    """Return x, y, z [m] and the rotation vector [rad] (N, 6) from other poses (N, 7) to poses (N, 7)."""
+    turn = multiply(conjugate(others[:, QUATERNION]), poses[:, QUATERNION])
+    return np.concatenate([poses[:, POSITION] - others[:, POSITION], to_rotation_vector(turn)], axis=1)
+
+
 def angle_of(quaternion: Array) -> Array:
     """Return the rotation angles (...) [rad], 0…π, of unit quaternions (..., 4)."""
     return np.asarray(2.0 * np.arctan2(norm(quaternion[..., 1:]), np.abs(quaternion[..., 0])))

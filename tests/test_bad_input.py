@@ -23,7 +23,7 @@ from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import DivergedError, atomic_path, canonical_json, write_json
-from koopdqn.rl import footprint
+from koopdqn.rl import settings as agent_settings
 from koopdqn.robot import prepare_rendering
 
 STAGE = re.compile(r"[A-Z][a-z ]+( \.\.\.|: done in .*)")
@@ -129,7 +129,7 @@ def test_a_bad_setting_is_named_with_its_rule(capsys: pytest.CaptureFixture[str]
 def test_what_cannot_fit_into_memory_is_refused_before_any_work(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, override: str
 ) -> None:
-    monkeypatch.setattr(footprint, "physical_memory", lambda: 2**34)
+    monkeypatch.setattr(agent_settings, "physical_memory", lambda: 2**34)
     line = refused(capsys, "train", override)
     assert line.startswith("agent.")
     assert "must fit into this machine's memory of 16.0 GiB, found a need of" in line

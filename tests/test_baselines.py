@@ -61,7 +61,7 @@ def test_greedy_takes_the_nearest_legal_action() -> None:
     task, model = shelf().task, taught().model
     states = taught().trajectories[0][::10]
     reached = reached_poses(states, task)
-    far = excess(reached, model.preferred(states, task.step_m)[:, None], task)
+    far = excess(reached, model.predict_step(states, task.step_m)[:, None], task)
     for row, action in enumerate(Greedy(model, task)(states, states)):
         assert legal_actions(task)[action]
         assert far[row, action] == far[row, legal_actions(task)].min()

@@ -10,9 +10,8 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.tasks.both_sides import BothSidesTask
-from koopdqn.tasks.reachability import COLLISION
 from koopdqn.tasks.rollout import SUCCESS, follow, roll_out
-from koopdqn.tasks.workcell import Workcell, open_workcell
+from koopdqn.tasks.workcell import COLLISION, Workcell, open_workcell
 
 PARTS = load_parts("task=both_sides")
 # Of the compartment, half-way between its side walls [m].

@@ -18,7 +18,7 @@ from koopdqn.settings import TARGET, validate
 from koopdqn.tasks.actions import COUNT, nearest_actions
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.rollout import SUCCESS, Episode, follow, roll_out
-from koopdqn.tasks.task import demonstrator_wishes
+from koopdqn.tasks.task import demonstrator_next_poses
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 LIMIT = 2000
@@ -199,6 +199,6 @@ def test_the_actions_nearest_to_the_person_succeed(cell: Workcell) -> None:
     task, (starts, joints) = cell.task, drawn(cell, 6)
 
     def nearest(poses: Array, begun: Array) -> np.ndarray:
-        return nearest_actions(poses, demonstrator_wishes(task, poses, begun), task)
+        return nearest_actions(poses, demonstrator_next_poses(task, poses, begun), task)
 
     assert successes(roll_out(nearest, task, cell.reachability, starts, joints, LIMIT)) == 6

@@ -155,7 +155,7 @@ def test_references_are_the_demonstrators_own_paths() -> None:
     for start, path in zip(starts, reference_paths(task, starts, 700), strict=True):
         alone = task.demonstrator.roll_out(start, 700)
         assert len(path) == len(alone)
-        # Which of two equally near points of its path the law takes may depend on rounding.
+        # Which of two equally near points of its path the expert takes may depend on rounding.
         assert pose.position_distance(path, alone).max() < 1e-4
 
 
@@ -243,7 +243,7 @@ def test_what_a_users_task_measures_is_reported() -> None:
 def test_the_tube_fraction_is_the_share_of_reached_states_inside() -> None:
     trajectory = taught().trajectories[0]
     away = trajectory[-2:] + np.array([0.0, 0.0, 0.5, 0, 0, 0, 0])
-    inside = taught().trust.inside(trajectory[1:], np.arange(1, len(trajectory)))
+    inside = taught().trust.contains(trajectory[1:], np.arange(1, len(trajectory)))
     report = measured([episode(trajectory), episode(np.concatenate([trajectory[:1], away]))], [trajectory] * 2)
     assert report.tube_fraction == pytest.approx(inside.sum() / (len(inside) + 2))
 

@@ -20,7 +20,7 @@ from koopdqn.tasks.task import Task
 def test_the_goal_is_a_fixed_point_of_the_default_model(fitted: Fitted, parts: Parts) -> None:
     goal = parts.task.goal[None]
     np.testing.assert_array_equal(fitted.model.predict(goal)[:, :3], goal[:, :3])
-    np.testing.assert_array_equal(fitted.model.preferred(goal, parts.task.step_m)[:, :3], goal[:, :3])
+    np.testing.assert_array_equal(fitted.model.predict_step(goal, parts.task.step_m)[:, :3], goal[:, :3])
 
 
 def test_the_default_model_comes_to_the_goal_from_the_start_region(fitted: Fitted, parts: Parts) -> None:
@@ -34,7 +34,7 @@ def test_predictions_follow_demonstrations_not_in_the_fit(
     trajectories: list[Array], parts: Parts, intent: str, share: float
 ) -> None:
     """Of a step; one that leads back to the mean demonstration heads less along the one left out."""
-    model = IntentModel.fit(trajectories[1:], parts.task, load_parts(f"intent={intent}").intent)
+    model = load_parts(f"intent={intent}").intent.fit(trajectories[1:], parts.task)
     held_out = trajectories[0]
     error = pose.position_distance(model.predict(held_out[:-1]), held_out[1:])
     assert np.median(error) < share * parts.task.step_m
@@ -45,7 +45,7 @@ def test_rescaled_predictions_are_a_step_long_in_the_predicted_direction(
 ) -> None:
     here = trajectories[0][:-20]
     raw = fitted.model.predict(here)[:, :3] - here[:, :3]
-    rescaled = fitted.model.preferred(here, parts.task.step_m)[:, :3] - here[:, :3]
+    rescaled = fitted.model.predict_step(here, parts.task.step_m)[:, :3] - here[:, :3]
     np.testing.assert_allclose(np.linalg.norm(rescaled, axis=1), parts.task.step_m, rtol=1e-12)
     cosine = (raw * rescaled).sum(axis=1) / np.linalg.norm(raw, axis=1) / parts.task.step_m
     np.testing.assert_allclose(cosine, 1.0, atol=1e-9)
@@ -55,7 +55,7 @@ def test_rescaled_predictions_do_not_pass_the_goal(fitted: Fitted, parts: Parts)
     goal = parts.task.goal
     near = np.tile(goal, (3, 1))
     near[:, 0] -= [1e-4, 1e-3, 0.01]
-    moved = pose.position_distance(fitted.model.preferred(near, parts.task.step_m), near)
+    moved = pose.position_distance(fitted.model.predict_step(near, parts.task.step_m), near)
     np.testing.assert_allclose(moved, [1e-4, 1e-3, parts.task.step_m], rtol=1e-9)
 
 
@@ -63,7 +63,7 @@ def test_orientation_is_held_where_the_task_holds_it(fitted: Fitted, parts: Part
     start = parts.task.nominal_start[None].copy()
     for tilt in (0.0, 0.1):
         start[:, 3:] = pose.multiply(start[:, 3:], pose.from_rotation_vector([tilt, 0.0, 0.0]))
-        for predicted in (fitted.model.predict(start), fitted.model.preferred(start, 0.002)):
+        for predicted in (fitted.model.predict(start), fitted.model.predict_step(start, 0.002)):
             assert pose.rotation_distance(predicted, start)[0] < 1e-15
 
 
@@ -74,11 +74,11 @@ def test_rolling_out_is_predicting_again_and_again(fitted: Fitted, parts: Parts)
     np.testing.assert_array_equal(raw[0], starts)
     np.testing.assert_array_equal(raw[3], fitted.model.predict(raw[2]))
     rescaled = fitted.model.roll_out(starts, 4, 0.002)
-    np.testing.assert_array_equal(rescaled[3], fitted.model.preferred(rescaled[2], 0.002))
+    np.testing.assert_array_equal(rescaled[3], fitted.model.predict_step(rescaled[2], 0.002))
 
 
 def test_the_papers_model_is_uncentred_and_of_demonstrated_pairs_alone(paper: Parts, trajectories: list[Array]) -> None:
-    intent = IntentModel.fit(trajectories, paper.task, paper.intent)
+    intent = paper.intent.fit(trajectories, paper.task)
     assert isinstance(intent, SeparateIntent)
     model = intent.position
     np.testing.assert_array_equal(model.center, 0.0)
@@ -106,7 +106,7 @@ def rms(values: Array) -> float:
 @pytest.mark.parametrize("intent", ["fourier", "paper"])
 def test_a_turn_is_predicted_where_orientation_is_learned(intent: str) -> None:
     task, settings, shown = knife(intent)
-    model = IntentModel.fit(shown[1:], task, settings)
+    model = settings.fit(shown[1:], task)
     assert set(model.matrices) == {"K_p", "K_o"}
     error = pose.rotation_distance(model.predict(shown[0][:-1]), shown[0][1:])
     turned = pose.rotation_distance(shown[0][1:], shown[0][:-1])
@@ -122,7 +122,7 @@ def whole() -> Whole:
     task, settings, shown = knife("pose")
     frame = settings.start_frame(shown, task)
     placed = frame.each(shown)
-    model = IntentModel.fit(placed, task, settings).within(frame)
+    model = settings.fit(placed, task).within(frame)
     return task, settings, model, mean_poses(placed, max(len(rows) for rows in placed))
 
 
@@ -147,7 +147,7 @@ def test_a_tool_that_lags_in_its_turn_is_told_to_turn_more(whole: Whole) -> None
     for lag in (0.0, 0.01, 0.1):
         turned = pose.multiply(pose.from_rotation_vector(lag * axis), mean[turning, 3:])
         here = pose.make(mean[turning, :3], turned)
-        following = model.preferred(here, task.step_m)
+        following = model.predict_step(here, task.step_m)
         turns.append(pose.rotation_distance(here, task.goal) - pose.rotation_distance(following, task.goal))
     assert (turns[1] >= turns[0] - 1e-9).all()
     assert (turns[2] >= turns[1] - 1e-9).all()
@@ -164,14 +164,14 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
     frame = StartFrame(task.nominal_start[:3], task.goal[:3], follows=True)
     model = model.within(frame)
     starts = task.draw_starts(np.random.default_rng(3), 20)
-    here = frame.unplaced(mean[10:210:10], starts, mean[10:210:10])
+    here = frame.from_frame(mean[10:210:10], starts, mean[10:210:10])
     for each in (
         model,
         restored(model.arrays(), settings),
         corrected(model, mean[:1], mean[1:2], np.array([0.03])),
     ):
         found = each.intended(here, starts)
-        np.testing.assert_allclose(frame.placed(found, starts), each.predict(frame.placed(here, starts)), atol=1e-9)
+        np.testing.assert_allclose(frame.to_frame(found, starts), each.predict(frame.to_frame(here, starts)), atol=1e-9)
     np.testing.assert_array_equal(
         restored(model.arrays(), settings).intended(here, starts), model.intended(here, starts)
     )
@@ -181,7 +181,7 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
 @pytest.mark.parametrize("center", [True, False])
 def test_the_center_is_the_goal_only_where_said(parts: Parts, trajectories: list[Array], center: bool) -> None:
     settings = load_parts("intent=fourier").intent.model_copy(update={"goal_centered": center})
-    intent = IntentModel.fit(trajectories[:2], parts.task, settings)
+    intent = settings.fit(trajectories[:2], parts.task)
     assert isinstance(intent, SeparateIntent)
     model = intent.position
     np.testing.assert_array_equal(model.center, parts.task.goal[:3] if center else np.zeros(3))

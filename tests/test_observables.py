@@ -106,14 +106,14 @@ def test_polynomials_are_all_monomials_up_to_their_degree(seed: int, degree: int
 
 def test_bumps_stand_on_the_states_vanish_at_the_origin_and_are_restored() -> None:
     states = np.random.default_rng(0).normal(size=(50, 3))
-    lift = RadialBasis(count=9, length_scale=0.5).placed(states)
+    lift = RadialBasis(count=9, length_scale=0.5).fitted_to(states)
     centers = lift.arrays()["centers"]
     assert all((states == center).all(axis=1).any() for center in centers)
     assert len(np.unique(centers, axis=0)) == 9
     np.testing.assert_allclose(lift.features(np.zeros((1, 3))), 0.0, atol=1e-15)
     again = RadialBasis(count=9, length_scale=0.5).restored(lift.arrays())
     np.testing.assert_array_equal(again.features(states), lift.features(states))
-    assert len(RadialBasis(count=80, length_scale=0.5).placed(states).arrays()["centers"]) == 50
+    assert len(RadialBasis(count=80, length_scale=0.5).fitted_to(states).arrays()["centers"]) == 50
 
 
 @given(seed=st.integers(0, 100))

@@ -11,14 +11,14 @@ from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import load_settings
-from koopdqn.tasks.person import Law, Person, Pursuit, ShownPath, Square, Via, Wide, least_jerk
+from koopdqn.tasks.person import Expert, Person, Pursuit, ReferencePath, Square, Via, Wide, least_jerk
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 STEP = 0.002
 UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
-STRAIGHT = ShownPath.along(pose.make([[0.0, 0, 0], [0.4, 0, 0]], UPRIGHT))
+STRAIGHT = ReferencePath.along(pose.make([[0.0, 0, 0], [0.4, 0, 0]], UPRIGHT))
 GOAL = pose.make([0.4, 0, 0], UPRIGHT)
 PERSONS = ("pursuit", "square", "via", "wide")
 
@@ -27,7 +27,7 @@ offsets = st.floats(-0.03, 0.03, allow_nan=False)
 
 def walked(person: Person, start: tuple[float, float, float], step: float = STEP) -> Array:
     """Return the positions (T, 3) that a person passes along a straight path of 0.4 m in x."""
-    return person.law(STRAIGHT, GOAL, step, 0.0).roll_out(pose.make(start, UPRIGHT), 4000)[:, :3]
+    return person.expert(STRAIGHT, GOAL, step, 0.0).roll_out(pose.make(start, UPRIGHT), 4000)[:, :3]
 
 
 @pytest.mark.parametrize("person", PERSONS)
@@ -80,7 +80,7 @@ def test_offsets_from_a_via_point_die_out_with_minimum_jerk_until_the_next(segme
 
 
 def test_between_via_points_no_motion_has_less_jerk(shelf_task: ShelfTask) -> None:
-    points = shelf_task.shown_path.places.points[::200]
+    points = shelf_task.reference_path.places.points[::200]
     times, spline = least_jerk(points)
     np.testing.assert_allclose(spline(times), points, atol=1e-12)
     t = np.linspace(times[0], times[-1], 20001)
@@ -102,8 +102,8 @@ def test_between_via_points_no_motion_has_less_jerk(shelf_task: ShelfTask) -> No
 
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_it_passes_its_via_points(shelf_task: ShelfTask, count: int) -> None:
-    shown = shelf_task.shown_path
-    path = Via(name="via", via_points=count).law(shown, shelf_task.goal, STEP, 0.0).path.places
+    shown = shelf_task.reference_path
+    path = Via(name="via", via_points=count).expert(shown, shelf_task.goal, STEP, 0.0).path.places
     via = shown.places.at(np.linspace(0.0, shown.places.length, count + 2))
     distance = np.linalg.norm(path.points[None] - via[:, None], axis=2).min(axis=1)
     assert distance.max() < path.spacing
@@ -123,8 +123,10 @@ def test_one_who_keeps_a_wide_berth_stays_farther_from_the_scene(workcell: Workc
 
 
 def test_wider_by_nothing_is_the_path_shown(shelf_task: ShelfTask) -> None:
-    same = Wide(name="wide", look_ahead_m=0.015, wider=0.0).law(shelf_task.shown_path, shelf_task.goal, STEP, 0.0)
-    np.testing.assert_allclose(same.path.places.points, shelf_task.shown_path.places.points, atol=1e-4)
+    same = Wide(name="wide", look_ahead_m=0.015, wider=0.0).expert(
+        shelf_task.reference_path, shelf_task.goal, STEP, 0.0
+    )
+    np.testing.assert_allclose(same.path.places.points, shelf_task.reference_path.places.points, atol=1e-4)
 
 
 @pytest.mark.parametrize("person", PERSONS)
@@ -147,8 +149,10 @@ class Direct(Person):
 
     least_m: float
 
-    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
-        return Law(shown, lambda path, positions, arc, step: np.tile(goal[:3], (len(positions), 1)), goal, step, turn)
+    def expert(self, shown: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        return Expert(
+            shown, lambda path, positions, arc, step: np.tile(goal[:3], (len(positions), 1)), goal, step, turn
+        )
 
 
 def test_a_person_of_ones_own_takes_part_by_target(shelf_task: ShelfTask) -> None:

@@ -69,7 +69,7 @@ def test_a_policy_that_follows_its_start_observes_poses_as_from_the_nominal_one(
     network, frame = learner(parts).online, following(parts)
     poses, starts = on_the_way(parts)
     values = Policy(network, parts.task, frame).values(poses, starts)
-    np.testing.assert_array_equal(values, network.values(observe(frame.placed(poses, starts), parts.task)))
+    np.testing.assert_array_equal(values, network.values(observe(frame.to_frame(poses, starts), parts.task)))
     assert not np.array_equal(values, Policy(network, parts.task).values(poses, starts))
 
 

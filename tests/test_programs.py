@@ -31,10 +31,9 @@ from koopdqn.programs.timing import Limits, timed
 from koopdqn.programs.urscript import write_movep, write_servoj
 from koopdqn.robot.scene import SceneBuilder
 from koopdqn.tasks.actions import nearest_actions
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.tasks.task import demonstrator_wishes
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.task import demonstrator_next_poses
+from koopdqn.tasks.workcell import Reachability, Workcell
 
 STEP_LIMIT = 900
 SETTINGS = load_config().program
@@ -50,7 +49,7 @@ STARTS: dict[str, Any] = {
 def policy(poses: Array, starts: Array) -> np.ndarray:
     """Always the action nearest to what the person would do: a path in the agent's stairs."""
     task = shelf().task
-    return nearest_actions(poses, demonstrator_wishes(task, poses, starts), task)
+    return nearest_actions(poses, demonstrator_next_poses(task, poses, starts), task)
 
 
 def settings(**fields: object) -> ProgramSettings:

@@ -34,14 +34,14 @@ from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.rl.labels import Labelled
 from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
+from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
 NEAR_ONLY = {"reach_m": 0.005}
-"""A yes extends trust by two steps, so that an episode gathers several questions that it does not settle."""
+"""A yes extends trust by two steps, so that an episode puts off several questions that it does not settle."""
 
 
 @pytest.fixture
@@ -73,9 +73,11 @@ def walk(trainer: Trainer, start: Array, count: int, action: int | None = None) 
     attempts: list[OpenAttempt] = []
     pose = start
     for step in range(count):
-        judged = trainer.feedback.evaluate_actions(pose[None], np.array([step]))
-        attempts.append(OpenAttempt(3, step, pose, start, int(judged.margin[0].argmax()) if action is None else action))
-        pose = judged.reached[0, attempts[-1].action]
+        evaluation = trainer.feedback.evaluate_actions(pose[None], np.array([step]))
+        attempts.append(
+            OpenAttempt(3, step, pose, start, int(evaluation.margin[0].argmax()) if action is None else action)
+        )
+        pose = evaluation.reached[0, attempts[-1].action]
     return attempts
 
 
@@ -297,8 +299,8 @@ def test_a_run_killed_with_questions_pending_or_replayed_ends_as_if_never_stoppe
 
 def test_a_question_says_its_place_to_people_and_programs(parts: Parts, make: Make, trajectories: list[Array]) -> None:
     trainer, point = make(), trajectories[0][60]
-    judged = trainer.feedback.evaluate_actions(point[None], np.array([7]))
-    asked = question_about(OpenAttempt(12, 7, point, point, 8), trainer.feedback.reward, judged, 0, Place(2, 5))
+    evaluation = trainer.feedback.evaluate_actions(point[None], np.array([7]))
+    asked = question_about(OpenAttempt(12, 7, point, point, 8), trainer.feedback.reward, evaluation, 0, Place(2, 5))
     for place, said in ((Place(2, 5), "Question 2 of about 5 in the episode"), (None, "")):
         each = replace(asked, place=place)
         shown = [line.plain for line in compose(Shown(parts.task, "anna", each), 80, 24, pictures=False)]
@@ -314,9 +316,9 @@ def test_the_longest_question_of_a_batch_fits_a_small_screen(
     parts: Parts, make: Make, trajectories: list[Array], action: int
 ) -> None:
     trainer, point = make(), trajectories[0][60]
-    judged = trainer.feedback.evaluate_actions(point[None], np.array([107]))
+    evaluation = trainer.feedback.evaluate_actions(point[None], np.array([107]))
     plain = question_about(
-        OpenAttempt(1234, 107, point, point, action), trainer.feedback.reward, judged, 0, Place(12, 15)
+        OpenAttempt(1234, 107, point, point, action), trainer.feedback.reward, evaluation, 0, Place(12, 15)
     )
     asked = replace(
         plain,

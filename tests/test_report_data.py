@@ -1,7 +1,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from parts import load_parts
 from report_runs import first, write_run
 
 from koopdqn.errors import BadInputError
-from koopdqn.intent.model import IntentModel
+from koopdqn.intent.separate import SeparateIntentSettings
 from koopdqn.report import data
 from koopdqn.report.data import HeldOut, gather, held_out
 from koopdqn.report.runs import find_runs
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
+    from koopdqn.intent.model import IntentModel
     from koopdqn.pose import Array
+    from koopdqn.tasks.task import Task
 
 FILE = Path("fits/shelf-paper.json")
 
@@ -64,13 +66,13 @@ def test_nothing_is_fitted_beside_the_cross_validation(
     demonstrations: "Demonstrations", paper: "Parts", monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fits: list[int] = []
-    fitted = IntentModel.fit
+    fit = SeparateIntentSettings.fit
 
-    def counted(*given: Any) -> IntentModel:
-        fits.append(len(given[0]))
-        return fitted(*given)
+    def counted(settings: SeparateIntentSettings, trajectories: list["Array"], task: "Task") -> "IntentModel":
+        fits.append(len(trajectories))
+        return fit(settings, trajectories, task)
 
-    monkeypatch.setattr(IntentModel, "fit", counted)
+    monkeypatch.setattr(SeparateIntentSettings, "fit", counted)
     studied(first(demonstrations, 3), paper)
     # The whole; the models of the others come from the cross-validation.
     assert fits == [3]

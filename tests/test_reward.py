@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.intent.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
-from koopdqn.intent.trust import Vouched
+from koopdqn.intent.trust import Trust
 from koopdqn.intent.tube import Tube
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import legal_actions, reached_poses, within_tolerance
@@ -47,13 +47,15 @@ def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Ar
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""
     poses, steps = beside(trajectories, seed, 20, spread)
     for prediction in ("raw", "rescaled"):
-        judged = reward_with(reward, **{**SIGN.model_dump(), "prediction": prediction}).evaluate_actions(poses, steps)
-        wished = (
-            reward.model.predict(poses) if prediction == "raw" else reward.model.preferred(poses, reward.task.step_m)
+        evaluation = reward_with(reward, **{**SIGN.model_dump(), "prediction": prediction}).evaluate_actions(
+            poses, steps
         )
-        np.testing.assert_array_equal(judged.predicted, wished)
-        right = within_tolerance(judged.reached, wished[:, None], reward.task) & legal_actions(reward.task)
-        np.testing.assert_array_equal(judged.reward, np.where(right, 1.0, -1.0))
+        wished = (
+            reward.model.predict(poses) if prediction == "raw" else reward.model.predict_step(poses, reward.task.step_m)
+        )
+        np.testing.assert_array_equal(evaluation.predicted, wished)
+        right = within_tolerance(evaluation.reached, wished[:, None], reward.task) & legal_actions(reward.task)
+        np.testing.assert_array_equal(evaluation.reward, np.where(right, 1.0, -1.0))
 
 
 @settings(max_examples=25)
@@ -71,36 +73,36 @@ def test_the_margin_has_the_same_sign_and_is_bounded(
 
 def test_a_larger_margin_is_nearer_to_the_prediction(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 0, 30, 0.002)
-    judged = reward_with(reward, shape="margin", goal=0.0).evaluate_actions(poses, steps)
-    distance = pose.position_distance(judged.reached, judged.predicted[:, None])
+    evaluation = reward_with(reward, shape="margin", goal=0.0).evaluate_actions(poses, steps)
+    distance = pose.position_distance(evaluation.reached, evaluation.predicted[:, None])
     for row in range(len(poses)):
         order = np.argsort(distance[row, AXES])
-        assert np.all(np.diff(judged.reward[row, AXES][order]) <= 1e-12)
+        assert np.all(np.diff(evaluation.reward[row, AXES][order]) <= 1e-12)
 
 
 def test_actions_named_for_rotation_are_wrong_by_rule_where_orientation_is_held(
     reward: IntentReward, trajectories: list[Array]
 ) -> None:
     poses, steps = beside(trajectories, 1, 30, 0.001)
-    judged = reward.evaluate_actions(poses, steps)
+    evaluation = reward.evaluate_actions(poses, steps)
     for action in (0, 2, 3):
-        np.testing.assert_array_equal(judged.reward[:, action], -reward.settings.size)
-        np.testing.assert_array_equal(judged.source[:, action], RULE)
-        assert judged.known[:, action].all()
+        np.testing.assert_array_equal(evaluation.reward[:, action], -reward.settings.size)
+        np.testing.assert_array_equal(evaluation.source[:, action], RULE)
+        assert evaluation.known[:, action].all()
 
 
 def test_an_action_that_changes_nothing_is_wrong_even_at_the_goal(reward: IntentReward) -> None:
-    judged = reward.evaluate_actions(reward.task.goal[None], np.array([500]))
-    assert pose.position_distance(judged.reached[0, 1], reward.task.goal) == 0
-    assert judged.reward[0, 1] == -reward.settings.size
-    assert judged.source[0, 1] == RULE
+    evaluation = reward.evaluate_actions(reward.task.goal[None], np.array([500]))
+    assert pose.position_distance(evaluation.reached[0, 1], reward.task.goal) == 0
+    assert evaluation.reward[0, 1] == -reward.settings.size
+    assert evaluation.source[0, 1] == RULE
 
 
 def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 2, 100, 0.02)
-    judged = reward.evaluate_actions(poses, steps)
-    np.testing.assert_array_equal(judged.known, judged.source != ASKED)
-    assert set(np.unique(judged.source)) == {RULE, TRUSTED, ASKED}
+    evaluation = reward.evaluate_actions(poses, steps)
+    np.testing.assert_array_equal(evaluation.known, evaluation.source != ASKED)
+    assert set(np.unique(evaluation.source)) == {RULE, TRUSTED, ASKED}
     assert SOURCES == ("rule", "trusted", "asked", "remembered", "certified")
 
 
@@ -111,14 +113,14 @@ def test_what_must_be_trusted_is_the_reached_state_or_both(
     sure = undoubting(reward).trust
     assert isinstance(sure, Tube)
     trust = replace(sure, settings=sure.settings.model_copy(update={"needs": needs}), radius=0.6 * sure.radius)
-    judged = IntentReward(reward.task, reward.model, trust, SIGN).evaluate_actions(
+    evaluation = IntentReward(reward.task, reward.model, trust, SIGN).evaluate_actions(
         *(data := beside(trajectories, 3, 200, 0.012))
     )
     poses, steps = data
-    here = trust.inside(poses, steps)
-    there = np.stack([trust.inside(judged.reached[:, action], steps + 1) for action in range(10)], axis=1)
+    here = trust.contains(poses, steps)
+    there = np.stack([trust.contains(evaluation.reached[:, action], steps + 1) for action in range(10)], axis=1)
     wanted = there if needs == "reached" else there & here[:, None]
-    trusted = judged.source[:, AXES] == TRUSTED
+    trusted = evaluation.source[:, AXES] == TRUSTED
     np.testing.assert_array_equal(trusted, wanted[:, AXES])
     assert (there & ~here[:, None])[:, AXES].any(), "some case must tell the two apart"
 
@@ -131,30 +133,30 @@ def test_from_elsewhere_poses_are_predicted_and_trusted_as_from_the_nominal_star
     following = IntentReward(reward.task, model, undoubting(reward).trust, SIGN)
     poses, steps = beside(trajectories, 7, 200, 0.004)
     starts = reward.task.draw_starts(np.random.default_rng(7), len(poses))
-    judged = following.evaluate_actions(poses, steps, starts)
-    np.testing.assert_array_equal(judged.reached, reached_poses(poses, reward.task))
-    np.testing.assert_array_equal(judged.placed, frame.placed(poses, starts))
-    np.testing.assert_array_equal(judged.placed_reached, frame.placed(judged.reached, starts[:, None]))
+    evaluation = following.evaluate_actions(poses, steps, starts)
+    np.testing.assert_array_equal(evaluation.reached, reached_poses(poses, reward.task))
+    np.testing.assert_array_equal(evaluation.local, frame.to_frame(poses, starts))
+    np.testing.assert_array_equal(evaluation.local_reached, frame.to_frame(evaluation.reached, starts[:, None]))
     wished = model.to_step(poses, model.intended(poses, starts), reward.task.step_m)
-    np.testing.assert_allclose(judged.predicted, wished, atol=1e-12)
-    here = reward.trust.inside(judged.placed, steps)
-    there = [reward.trust.inside(judged.placed_reached[:, action], steps + 1) for action in AXES]
-    trusted = judged.source[:, AXES] == TRUSTED
+    np.testing.assert_allclose(evaluation.predicted, wished, atol=1e-12)
+    here = reward.trust.contains(evaluation.local, steps)
+    there = [reward.trust.contains(evaluation.local_reached[:, action], steps + 1) for action in AXES]
+    trusted = evaluation.source[:, AXES] == TRUSTED
     np.testing.assert_array_equal(trusted, np.stack(there, axis=1) & here[:, None])
-    assert not np.array_equal(here, reward.trust.inside(poses, steps)), "some start must tell the two apart"
+    assert not np.array_equal(here, reward.trust.contains(poses, steps)), "some start must tell the two apart"
     # From the nominal start itself nothing is moved.
     nominal = following.evaluate_actions(poses, steps, np.repeat(reward.task.nominal_start[None], len(poses), axis=0))
     plain = following.evaluate_actions(poses, steps)
-    for name in ("predicted", "reward", "margin", "placed_reached"):
+    for name in ("predicted", "reward", "margin", "local_reached"):
         np.testing.assert_allclose(getattr(nominal, name), getattr(plain, name), atol=1e-9)
 
 
 class _Recording(Tube):
     """A trust domain that keeps which steps it was asked about."""
 
-    def vouched(self, poses: Array, steps: np.ndarray) -> Vouched:
+    def assess(self, poses: Array, steps: np.ndarray) -> Trust:
         ASKED_STEPS.append((len(poses), np.array(steps)))
-        return super().vouched(poses, steps)
+        return super().assess(poses, steps)
 
 
 ASKED_STEPS: list[tuple[int, np.ndarray]] = []
@@ -211,18 +213,18 @@ def test_answers_are_worth_what_predictions_are(reward: IntentReward) -> None:
 
 def test_every_demonstrated_state_has_a_right_action(reward: IntentReward, trajectories: list[Array]) -> None:
     for rows in trajectories[:2]:
-        judged = reward.evaluate_actions(rows[:-2], np.arange(len(rows) - 2))
-        assert (judged.reward >= 0).any(axis=1).all()
+        evaluation = reward.evaluate_actions(rows[:-2], np.arange(len(rows) - 2))
+        assert (evaluation.reward >= 0).any(axis=1).all()
 
 
-def test_an_answer_moves_no_prediction_that_demonstrations_vouch_for(
+def test_an_answer_moves_no_prediction_that_demonstrations_decide(
     reward: IntentReward, trajectories: list[Array]
 ) -> None:
     here = trajectories[0][60:61]
     after = here + np.array([[0, 0, 0.0021, 0, 0, 0, 0]])
     moved = reward.extended(here[:0], np.zeros(0), here, after, np.array([0.2]))
     poses, steps = beside(trajectories, 5, 300, 0.03)
-    shown = reward.trust.vouched(poses, steps).shown
+    shown = reward.trust.assess(poses, steps).demonstrated
     assert 20 < shown.sum() < 280
     before, then = reward.evaluate_actions(poses, steps).predicted, moved.evaluate_actions(poses, steps).predicted
     np.testing.assert_array_equal(then[shown], before[shown])

@@ -8,7 +8,6 @@ from koopdqn import pose
 from koopdqn.evaluation.baselines import Greedy, straight_path
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import ACTIONS, reached_poses
-from koopdqn.tasks.reachability import COLLISION, JUMP, UNREACHABLE
 from koopdqn.tasks.rollout import (
     FAILURES,
     RULE_BROKEN,
@@ -20,6 +19,7 @@ from koopdqn.tasks.rollout import (
     follow,
     roll_out,
 )
+from koopdqn.tasks.workcell import COLLISION, JUMP, UNREACHABLE
 
 TURN_TO_GOAL = ACTIONS.index("moves only in rotation toward the goal")
 TO_GOAL = ACTIONS.index("moves only in position toward the goal")

@@ -6,9 +6,8 @@ from parts import straight_poses
 
 from koopdqn import pose
 from koopdqn.robot.ur import URArm
-from koopdqn.tasks.reachability import COLLISION
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import COLLISION, Workcell
 
 
 def test_the_demonstrated_path_matters_because_the_straight_line_hits_the_shelf(workcell: Workcell) -> None:

@@ -28,13 +28,13 @@ def test_what_was_placed_comes_back_from_wherever_it_is_looked_for(
     place: Array, turn: Array, offset: Array, guess: Array
 ) -> None:
     here, start = pose.make(GOAL + place, turn), starting(offset)
-    placed = FRAME.placed(here, start)
+    placed = FRAME.to_frame(here, start)
     for near in (here, placed, pose.make(GOAL + guess, turn)):
         # The error shrinks by the share of the way that the start is off, twelve times.
         share = np.linalg.norm(offset) / (LENGTH - np.linalg.norm(offset))
         bound = pose.position_distance(near, here) * share**12 + 1e-12
-        assert pose.position_distance(FRAME.unplaced(placed, start, near), here) <= bound
-    back = FRAME.unplaced(placed, start, placed)
+        assert pose.position_distance(FRAME.from_frame(placed, start, near), here) <= bound
+    back = FRAME.from_frame(placed, start, placed)
     np.testing.assert_allclose(back, here, atol=1e-6)
     np.testing.assert_array_equal(back[3:], here[3:])
     np.testing.assert_array_equal(placed[3:], here[3:])
@@ -43,41 +43,41 @@ def test_what_was_placed_comes_back_from_wherever_it_is_looked_for(
 @given(offset=offsets)
 def test_every_start_is_placed_at_the_nominal_one_and_the_goal_stays(offset: Array) -> None:
     start = starting(offset)
-    np.testing.assert_allclose(FRAME.placed(start, start)[:3], START, atol=1e-15)
+    np.testing.assert_allclose(FRAME.to_frame(start, start)[:3], START, atol=1e-15)
     goal = pose.make(GOAL, [0.0, 1.0, 0.0, 0.0])
-    np.testing.assert_array_equal(FRAME.placed(goal, start), goal)
-    np.testing.assert_array_equal(FRAME.unplaced(goal, start, goal), goal)
+    np.testing.assert_array_equal(FRAME.to_frame(goal, start), goal)
+    np.testing.assert_array_equal(FRAME.from_frame(goal, start, goal), goal)
 
 
 @given(place=places, turn=turns)
 def test_from_the_nominal_start_every_pose_stays(place: Array, turn: Array) -> None:
     here = pose.make(GOAL + place, turn)
-    np.testing.assert_array_equal(FRAME.placed(here, starting(np.zeros(3))), here)
+    np.testing.assert_array_equal(FRAME.to_frame(here, starting(np.zeros(3))), here)
 
 
 @given(place=places, offset=offsets)
 def test_the_offset_of_the_start_fades_with_the_distance_left(place: Array, offset: Array) -> None:
     here, start = pose.make(GOAL + place, [1.0, 0.0, 0.0, 0.0]), starting(offset)
     share = min(1.0, float(np.linalg.norm(place)) / float(np.linalg.norm(start[:3] - GOAL)))
-    np.testing.assert_allclose(FRAME.placed(here, start)[:3], here[:3] - share * offset, atol=1e-15)
+    np.testing.assert_allclose(FRAME.to_frame(here, start)[:3], here[:3] - share * offset, atol=1e-15)
 
 
 @given(place=places, turn=turns, offset=offsets)
 def test_a_frame_that_does_not_follow_returns_the_very_same_array(place: Array, turn: Array, offset: Array) -> None:
     here, start = pose.make(GOAL + place, turn)[None], starting(offset)[None]
     for frame in (STILL, StartFrame(START, GOAL, follows=False)):
-        assert frame.placed(here, start) is here
-        assert frame.unplaced(here, start, here + 1.0) is here
+        assert frame.to_frame(here, start) is here
+        assert frame.from_frame(here, start, here + 1.0) is here
 
 
 @pytest.mark.parametrize("shape", [(3,), (2, 4)])
 def test_starts_belong_to_poses_row_by_row(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(0)
     poses, starts = (pose.make(START + 0.03 * rng.normal(size=(*shape, 3)), [1.0, 0, 0, 0]) for _ in range(2))
-    placed = FRAME.placed(poses, starts)
-    back = FRAME.unplaced(placed, starts, placed)
+    placed = FRAME.to_frame(poses, starts)
+    back = FRAME.from_frame(placed, starts, placed)
     for index in np.ndindex(shape):
-        np.testing.assert_allclose(placed[index], FRAME.placed(poses[index], starts[index]), atol=1e-15)
+        np.testing.assert_allclose(placed[index], FRAME.to_frame(poses[index], starts[index]), atol=1e-15)
         np.testing.assert_allclose(back[index], poses[index], atol=1e-9)
 
 

@@ -1,23 +1,35 @@
 import numpy as np
 import pytest
+from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import Episodes
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.workcell import Workcell
 
-SPREAD = (0.008, 0.05)
-"""Of starts along demonstrations: [m] and [rad]."""
+
+def exploring(share: float, region: float, scale: float = 1.0, spread_m: float = 0.008) -> AgentSettings:
+    return load_parts().agent.model_copy(
+        update={
+            "exploring_starts": share,
+            "exploring_in_region": region,
+            "exploring_scale": scale,
+            "exploring_spread_m": spread_m,
+            "exploring_spread_rad": 0.05,
+            "exploring_steps": 40,
+        }
+    )
 
 
 def sampler(workcell: Workcell, trajectories: list[Array], share: float, region: float = 0.0) -> StartSampler:
-    return StartSampler(workcell.task, workcell.reachability, STILL, trajectories, share, region, 1.0, *SPREAD, 40, 750)
+    return StartSampler(workcell, STILL, trajectories, 750, exploring(share, region))
 
 
 def wide(workcell: Workcell, trajectories: list[Array], share: float, scale: float) -> StartSampler:
-    return StartSampler(workcell.task, workcell.reachability, STILL, trajectories, share, 1.0, scale, *SPREAD, 40, 750)
+    return StartSampler(workcell, STILL, trajectories, 750, exploring(share, 1.0, scale))
 
 
 def begun(starts: StartSampler, count: int, seed: int = 0) -> Episodes:
@@ -61,14 +73,13 @@ def test_along_demonstrations_that_follow_their_start_it_lies_beside_them_as_its
     task = workcell.task
     frame = StartFrame(task.nominal_start[:3], task.goal[:3], follows=True)
     placed = frame.each(trajectories)
-    spread = (1e-9, 0.05)
-    starts = StartSampler(task, workcell.reachability, frame, placed, 1.0, 0.0, 1.0, *spread, 40, 750)
+    starts = StartSampler(workcell, frame, placed, 750, exploring(1.0, 0.0, spread_m=1e-9))
     batch = begun(starts, 40)
     assert in_region(workcell, batch.starts).all()
     assert not in_region(workcell, batch.poses).all()
     shown = np.concatenate(placed)[:, :3]
     gaps = []
-    for poses in (batch.poses, frame.placed(batch.poses, batch.starts)):
+    for poses in (batch.poses, frame.to_frame(batch.poses, batch.starts)):
         gaps.append(np.linalg.norm(poses[:, None, :3] - shown[None], axis=2).min(axis=1))
     assert gaps[1].max() < 1e-7
     assert np.median(gaps[0]) > 1e-3

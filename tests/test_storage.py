@@ -24,8 +24,8 @@ def test_a_stored_intent_comes_back_bit_for_bit(
     found = read_intent(tmp_path / name, parts.task)
     here, steps = trajectories[0], np.arange(len(trajectories[0]))
     np.testing.assert_array_equal(found.model.predict(here), stored.model.predict(here))
-    np.testing.assert_array_equal(found.model.preferred(here, 0.0021), stored.model.preferred(here, 0.0021))
-    np.testing.assert_array_equal(found.trust.inside(here, steps), stored.trust.inside(here, steps))
+    np.testing.assert_array_equal(found.model.predict_step(here, 0.0021), stored.model.predict_step(here, 0.0021))
+    np.testing.assert_array_equal(found.trust.contains(here, steps), stored.trust.contains(here, steps))
     assert artifact.described(found.settings) == artifact.described(parts.intent)
     assert found.trust.settings == parts.trust
     assert found.demonstrations == "f" * 64

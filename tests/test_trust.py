@@ -10,7 +10,7 @@ from parts import load_parts
 from koopdqn import pose
 from koopdqn.intent.box import Box, BoxSettings
 from koopdqn.intent.fit import Fitted
-from koopdqn.intent.trust import COMPONENTS, TrustDomain, calibrated
+from koopdqn.intent.trust import COMPONENTS, TrustDomain, calibrate
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
 
@@ -51,7 +51,7 @@ def domain(matching: Matching, sigmas: float = 3.0, signs: list[Array] | None = 
 
 
 def drawn_around(shown: list[Array], chosen: BoxSettings, signs: list[Array] | None = None) -> Box:
-    box = TrustDomain.fit(shown, signs or all_right(shown), FRAME, chosen)
+    box = chosen.fit(shown, signs or all_right(shown), FRAME)
     assert isinstance(box, Box)
     return box
 
@@ -74,17 +74,17 @@ def test_mean_and_deviation_are_those_of_each_step(matching: Matching) -> None:
 def test_demonstrated_states_are_inside(matching: Matching) -> None:
     drawn = domain(matching)
     for trajectory in lines([-0.004, 0.0, 0.004]):
-        assert drawn.inside(trajectory, np.arange(11)).all()
+        assert drawn.contains(trajectory, np.arange(11)).all()
 
 
 def test_nearly_every_demonstrated_state_of_the_shelf_is_inside(
     fitted: Fitted, trajectories: list[Array], shelf_task: ShelfTask
 ) -> None:
-    inside = [fitted.trust.inside(rows, np.arange(len(rows))).mean() for rows in trajectories]
-    assert np.mean(inside) > 0.95
+    contained = [fitted.trust.contains(rows, np.arange(len(rows))).mean() for rows in trajectories]
+    assert np.mean(contained) > 0.95
     far = shelf_task.draw_starts(np.random.default_rng(0), 50)
     far[:, 2] += 0.3
-    assert not fitted.trust.inside(far, np.zeros(50, dtype=int)).any()
+    assert not fitted.trust.contains(far, np.zeros(50, dtype=int)).any()
 
 
 @pytest.mark.parametrize("matching", MATCHINGS)
@@ -103,7 +103,7 @@ def test_states_far_off_in_any_component_are_outside_and_the_component_is_named(
     matching: Matching, point: Array, name: str
 ) -> None:
     drawn = domain(matching)
-    assert not drawn.inside(point, np.array([5]))[0]
+    assert not drawn.contains(point, np.array([5]))[0]
     assert drawn.outside(point[0], 5).startswith(f"{name} is ")
     assert "limit 3" in drawn.outside(point[0], 5)
 
@@ -121,7 +121,7 @@ def test_more_sigmas_never_trust_less(matching: Matching, sigmas: float, more: f
         pose.from_rotation_vector(0.02 * rng.normal(size=(50, 3))),
     )
     steps = rng.integers(0, 14, 50)
-    narrow, wide = (domain(matching, k).inside(points, steps) for k in (sigmas, sigmas * more))
+    narrow, wide = (domain(matching, k).contains(points, steps) for k in (sigmas, sigmas * more))
     assert np.all(wide | ~narrow)
 
 
@@ -131,10 +131,10 @@ def test_matching_by_step_asks_for_that_step_and_matching_any_for_none(x: float,
     # A floor of 2 mm, three times, at means a centimetre apart.
     mean = 0.01 * min(step, 10)
     if abs(abs(x - mean) - 0.006) > 1e-9:
-        assert domain("step").inside(point, steps)[0] == (abs(x - mean) <= 0.006)
+        assert domain("step").contains(point, steps)[0] == (abs(x - mean) <= 0.006)
     nearest = np.abs(x - 0.01 * np.arange(11)).min()
     if abs(nearest - 0.006) > 1e-9:
-        assert domain("any").inside(point, steps)[0] == (nearest <= 0.006)
+        assert domain("any").contains(point, steps)[0] == (nearest <= 0.006)
 
 
 def test_matching_by_step_takes_the_demonstrations_that_have_the_step() -> None:
@@ -161,9 +161,9 @@ def test_where_rewards_are_clearly_wrong_too_often_nothing_is_trusted(matching: 
     np.testing.assert_allclose(drawn.right, [0.5 if t == 5 else 1.0 for t in range(11)])
     assert drawn.known.tolist() == [t != 5 for t in range(11)]
     point = at(0.05)
-    assert not drawn.inside(point, np.array([5]))[0]
+    assert not drawn.contains(point, np.array([5]))[0]
     assert "only 50% of the rewards here are right (least 90%)" in drawn.outside(point[0], 5)
-    assert drawn.inside(at(0.08), np.array([8]))[0]
+    assert drawn.contains(at(0.08), np.array([8]))[0]
 
 
 @pytest.mark.parametrize("matching", MATCHINGS)
@@ -183,7 +183,7 @@ def test_a_place_is_refuted_by_a_share_that_one_in_twenty_of_right_places_would_
     signs = [np.stack([column[:, None], np.ones((400, 1))], axis=2) for column in right.T]
     places = [np.arange(400)] * count
     stated = settings("any").model_copy(update={"least_right": 0.9, "doubts": (0.1,)})
-    doubt = calibrated(places, signs, 400, 0, stated)[1]
+    doubt = calibrate(places, signs, 400, 0, stated)[1]
     assert 0.02 < np.mean(np.isinf(doubt)) < 0.1
 
 
@@ -202,7 +202,7 @@ def test_a_reason_is_given_exactly_where_trust_ends(
     drawn = domain(matching, 3.0, signs)
     point = at(x, y, turn=(roll, 0.0, 0.0))
     reason = drawn.outside(point[0], step)
-    assert (reason == "") == bool(drawn.inside(point, np.array([step]))[0])
+    assert (reason == "") == bool(drawn.contains(point, np.array([step]))[0])
     if reason:
         assert reason.split()[0] in COMPONENTS or "rewards here are right" in reason
 
@@ -212,7 +212,7 @@ def test_without_a_floor_and_without_spread_the_reason_is_still_the_distance(mat
     same = lines([0.0, 0.0])
     drawn = drawn_around(same, settings(matching, floor=0.0))
     point = at(0.05, 0.001)
-    assert not drawn.inside(point, np.array([5]))[0]
+    assert not drawn.contains(point, np.array([5]))[0]
     assert "standard deviations from the demonstrations" in drawn.outside(point[0], 5)
 
 
@@ -228,7 +228,7 @@ def test_angles_are_those_in_the_frame() -> None:
     drawn = settings("step").fit(shown, all_right(shown), frame)
     assert isinstance(drawn, Box)
     assert np.abs(drawn.mean[:, 3:]).max() < 0.05
-    assert drawn.inside(pose.make([0.05, 0.001, 0.0], left)[None], np.array([5]))[0]
+    assert drawn.contains(pose.make([0.05, 0.001, 0.0], left)[None], np.array([5]))[0]
 
 
 @given(x=st.floats(-1, 1), step=st.integers(0, 20))
@@ -237,8 +237,8 @@ def test_trust_everywhere_and_nowhere_ask_nothing_of_the_pose(x: float, step: in
     wrong = [each * [0.0, 1.0] for each in all_right(shown)]
     for matching, trusted in (("everywhere", True), ("nowhere", False)):
         chosen = settings("any").model_copy(update={"matching": matching})
-        drawn = TrustDomain.fit(shown, wrong, FRAME, chosen)
-        assert drawn.inside(at(x), np.array([step]))[0] == trusted
+        drawn = chosen.fit(shown, wrong, FRAME)
+        assert drawn.contains(at(x), np.array([step]))[0] == trusted
         assert (drawn.outside(at(x)[0], step) == "") == trusted
 
 
@@ -247,7 +247,7 @@ def test_a_distance_of_at_most_one_is_inside(x: float, y: float) -> None:
     drawn = domain("any")
     far = float(drawn.distance(at(x, y))[0])
     if abs(far - 1.0) > 1e-9:
-        assert drawn.inside(at(x, y), np.array([0]))[0] == (far < 1.0)
+        assert drawn.contains(at(x, y), np.array([0]))[0] == (far < 1.0)
 
 
 @given(far=st.floats(0.0, 0.03), radius=st.floats(0.005, 0.02))
@@ -256,9 +256,9 @@ def test_a_ball_is_trusted_as_far_as_its_radius_and_nothing_else_changes(far: fl
     middle, step = at(0.05, 0.2), np.array([0])
     wider = drawn.extended(middle, np.array([radius]))
     if abs(far - radius) > 1e-9:
-        assert wider.inside(at(0.05, 0.2 + far), step)[0] == (far < radius)
+        assert wider.contains(at(0.05, 0.2 + far), step)[0] == (far < radius)
         assert (wider.distance(at(0.05, 0.2 + far))[0] <= 1.0) == (far < radius)
-    assert not wider.inside(at(0.05, 0.2, turn=(0.5, 0.0, 0.0)), step)[0]
-    assert not drawn.inside(middle, step)[0]
+    assert not wider.contains(at(0.05, 0.2, turn=(0.5, 0.0, 0.0)), step)[0]
+    assert not drawn.contains(middle, step)[0]
     restored = TrustDomain.restore(wider.arrays(), wider.settings)
-    assert restored.inside(middle, step)[0]
+    assert restored.contains(middle, step)[0]

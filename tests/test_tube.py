@@ -37,7 +37,7 @@ def all_right(shown: list[Array]) -> list[Array]:
 
 
 def tube(shown: list[Array], signs: list[Array] | None = None) -> Tube:
-    drawn = TrustDomain.fit(shown, signs or all_right(shown), FRAME, default())
+    drawn = default().fit(shown, signs or all_right(shown), FRAME)
     assert isinstance(drawn, Tube)
     return drawn
 
@@ -64,9 +64,9 @@ def test_a_single_demonstration_has_a_tube_of_fixed_radius() -> None:
     drawn = tube([shown])
     np.testing.assert_array_equal(drawn.radius[:, 0], default().fixed_radius_m)
     aside = shown.copy()
-    for far, inside in ((0.9, True), (1.2, False)):
+    for far, contained in ((0.9, True), (1.2, False)):
         aside[:, 2] = shown[:, 2] + far * default().fixed_radius_m
-        assert drawn.inside(aside, np.zeros(len(aside), dtype=int)).all() == inside
+        assert drawn.contains(aside, np.zeros(len(aside), dtype=int)).all() == contained
 
 
 @settings(max_examples=30)
@@ -81,11 +81,11 @@ def test_distance_reason_and_inside_agree(seed: int, turn: float, error: bool) -
     positions = rng.uniform([-0.05, -0.03, -0.03], [0.45, 0.03, 0.03], (40, 3))
     points = pose.make(positions, pose.from_rotation_vector([turn, 0.0, 0.0]))
     steps = np.zeros(40, dtype=int)
-    inside, far = drawn.inside(points, steps), drawn.distance(points)
-    assert not np.any(inside & (far > 1.0 + 1e-9))
+    contained, far = drawn.contains(points, steps), drawn.distance(points)
+    assert not np.any(contained & (far > 1.0 + 1e-9))
     if not error:
-        np.testing.assert_array_equal(inside[np.abs(far - 1) > 1e-9], (far < 1.0)[np.abs(far - 1) > 1e-9])
-    for point, trusted in zip(points, inside, strict=True):
+        np.testing.assert_array_equal(contained[np.abs(far - 1) > 1e-9], (far < 1.0)[np.abs(far - 1) > 1e-9])
+    for point, trusted in zip(points, contained, strict=True):
         assert (drawn.outside(point, 0) == "") == trusted
 
 
@@ -95,11 +95,11 @@ def test_where_rewards_are_wrong_it_is_the_nearest_place_that_counts() -> None:
     for each in signs[1:]:
         each[100:120, :, 0] = 0.0
     drawn = tube(shown, signs)
-    inside = drawn.inside(shown[2], np.zeros(len(shown[2]), dtype=int))
-    assert not inside[102:118].any()
+    contained = drawn.contains(shown[2], np.zeros(len(shown[2]), dtype=int))
+    assert not contained[102:118].any()
     # The share is that of the places up to 20 mm, ten steps, around.
-    assert inside[:85].all()
-    assert inside[135:].all()
+    assert contained[:85].all()
+    assert contained[135:].all()
     assert "rewards here are right" in drawn.outside(shown[2][110], 0)
 
 
@@ -112,10 +112,10 @@ def test_what_demonstrations_say_goes_before_answers() -> None:
     wider = drawn.extended(shown[0][110:111], np.array([0.2]))
     steps = np.zeros(2, dtype=int)
     here, aside = shown[0][[110, 60]], shown[0][[110, 60]] + np.array([0, 0.1, 0, 0, 0, 0, 0])
-    assert wider.inside(here, steps).tolist() == [False, True]
-    vouched = wider.vouched(np.concatenate([here, aside]), np.zeros(4, dtype=int))
-    assert vouched.shown.tolist() == [False, True, False, False]
-    assert vouched.answered.tolist() == [False, False, True, True]
+    assert wider.contains(here, steps).tolist() == [False, True]
+    trust = wider.assess(np.concatenate([here, aside]), np.zeros(4, dtype=int))
+    assert trust.demonstrated.tolist() == [False, True, False, False]
+    assert trust.certified.tolist() == [False, False, True, True]
 
 
 def test_a_ball_beside_the_tube_is_trusted_and_survives_storage() -> None:
@@ -124,7 +124,7 @@ def test_a_ball_beside_the_tube_is_trusted_and_survives_storage() -> None:
     step = np.array([0])
     aside = shown[0] + np.array([0, 0, 0.1, 0, 0, 0, 0])
     wider = drawn.extended(aside[50:51], np.array([0.01]))
-    assert not drawn.inside(aside[50:51], step)[0]
+    assert not drawn.contains(aside[50:51], step)[0]
     for domain in (wider, TrustDomain.restore(wider.arrays(), wider.settings)):
-        assert domain.inside(aside[52:53], step)[0]
-        assert not domain.inside(aside[80:81], step)[0]
+        assert domain.contains(aside[52:53], step)[0]
+        assert not domain.contains(aside[80:81], step)[0]

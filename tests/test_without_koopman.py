@@ -106,5 +106,5 @@ def test_in_place_of_k_they_are_told_poses_in_the_start_frame() -> None:
     poses = known.trajectories[0][10:60:10]
     starts = np.repeat(known.trajectories[0][:1], len(poses), axis=0)
     actions = Greedy(model, task, instead)(poses, starts)
-    np.testing.assert_array_equal(seen[0], frame.placed(poses, starts))
+    np.testing.assert_array_equal(seen[0], frame.to_frame(poses, starts))
     np.testing.assert_array_equal(actions, Greedy(model, task)(poses, starts))

@@ -123,10 +123,10 @@ def train(
         PauseRequested: who answers wants to go on another time.
     """
     from koopdqn.rl.algorithm1 import Trainer
-    from koopdqn.rl.footprint import check_device
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.policy import Policy
     from koopdqn.rl.questions import Asking
+    from koopdqn.rl.settings import check_device
 
     check_device(config.agent)
     workcell, seed = open_workcell(config), config.inputs.seed

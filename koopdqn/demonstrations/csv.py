@@ -1,4 +1,4 @@
-"""Demonstration files: CSV with one sample a row, read with clear errors and written."""
+"""Demonstration files in CSV, one sample a row."""
 
 import csv
 import re
@@ -81,11 +81,11 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """Read a CSV file: one header line of column names, then one row a line.
+    """Read a CSV file: a header line of column names, then one row a line.
 
-    Cells are separated by commas, semicolons, tabs or blanks, whichever the header line has, in that order. Blank
-    around names and cells, the case of names, blank lines and lines that begin with # count for nothing. Where
-    semicolons, tabs or blanks separate, a decimal comma is read as a point.
+    The separator is the first of comma, semicolon, tab and blank that the header contains. Blanks around names and
+    cells, the case of names, empty lines and lines that begin with # are ignored. With a separator other than the comma
+    a decimal comma is read as a point.
 
     Raises:
         BadInputError: the file is missing, is too large or no text, has no header, a name occurs twice, or a row has
@@ -154,7 +154,7 @@ def _number(cell: str) -> float:
 
 
 Rotation = Literal["quaternion", "vector", "angles"]
-"""How a CSV file gives orientation: unit quaternion, rotation vector, or roll, pitch and yaw."""
+"""Orientation in a CSV file: unit quaternion, rotation vector, or roll, pitch and yaw."""
 
 ROTATIONS: Final[dict[Rotation, tuple[str, ...]]] = {
     "quaternion": ("qw", "qx", "qy", "qz"),
@@ -172,13 +172,13 @@ class ExportSettings(Settings):
 
 _POSITION = ("x", "y", "z")
 _TIME, _DEMONSTRATION = "t", "demo"
-# Rounded to three decimals a quaternion's length is off by up to 0.001; more than ten times that is no rounding.
+# Rounding to three decimals changes a quaternion's length by up to 0.001; ten times that is no rounding.
 _LENGTH_TOLERANCE = 0.01
-# The largest angle [rad] that a file may hold; one in degrees soon holds a larger one.
+# Largest angle [rad]; a file in degrees exceeds it.
 _LARGEST_ANGLE = 2.0 * np.pi + 0.1
-# The largest coordinate [m]; no arm here reaches so far, but a file in millimetres does.
+# Largest coordinate [m]; a file in millimetres exceeds it.
 _FARTHEST_M = 10.0
-# Loggers that round times repeat one now and then; a file in which more than this share repeat has no such times.
+# Largest share of repeated times, which loggers that round times write.
 _MOST_REPEATED = 0.1
 
 
@@ -187,9 +187,8 @@ def read_csv(path: Path) -> list[Demonstration]:
 
     Columns, in any order and case: ``demo`` (optional; rows with the same text are one demonstration), ``t`` [s],
     ``x y z`` [m] and exactly one of ``qw qx qy qz``, ``rx ry rz`` [rad] and ``roll pitch yaw`` [rad]; others are
-    left out. Poses are of the flange in UR Base. Two repairs are made: quaternions are scaled to unit length if
-    they have it within 1 %, and of rows that repeat the time before them the first is kept, if that leaves nine
-    tenths of the rows. :func:`koopdqn.demonstrations.csv.read_table` says what else is read.
+    ignored. Poses are of the flange in UR Base. Quaternions within 1 % of unit length are normalised. Of rows with the
+    same time the first is kept, if at most a tenth are removed. :func:`read_table` describes the format.
 
     Raises:
         BadInputError: the file is no such file, a cell is no number, times do not increase, there are fewer than
@@ -212,7 +211,7 @@ def read_csv(path: Path) -> list[Demonstration]:
 
 
 def write_csv(path: Path, demonstrations: Sequence[Demonstration], rotation: Rotation = "quaternion") -> None:
-    """Write demonstrations as :func:`read_csv` reads them, without their joint angles; numbers keep every digit."""
+    """Write demonstrations for :func:`read_csv`, with all digits and without joint angles."""
     lines = StringIO()
     lines.write(",".join((_DEMONSTRATION, _TIME, *_POSITION, *ROTATIONS[rotation])) + "\n")
     for index, item in enumerate(demonstrations):

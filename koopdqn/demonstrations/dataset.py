@@ -1,4 +1,4 @@
-"""Demonstrated trajectories as frozen, self-checking data."""
+"""Demonstrated trajectories as immutable, validated data."""
 
 import hashlib
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ class Demonstration:
     joints: Array | None = None
 
     def __post_init__(self) -> None:
-        """Check the arrays, copy them and make them read-only."""
+        """Check the arrays, and replace them by read-only copies."""
         poses = np.array(self.poses, dtype=float)
         if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < 2:
             raise BadInputError(f"poses must have shape (N, 7) with N >= 2, found {poses.shape}")
@@ -60,7 +60,7 @@ class Demonstration:
         if np.any(np.abs(length - 1) > _QUATERNION_TOLERANCE):
             worst = length[np.abs(length - 1).argmax()]
             raise BadInputError(f"quaternions must have length 1 within {_QUATERNION_TOLERANCE}, found {worst:g}")
-        # Dividing again changes last bits; what was normalised once must be read back as it was written.
+        # Dividing again would change last bits; normalised quaternions are read back as they were written.
         length = np.where(np.abs(length - 1) < 1e-14, 1.0, length)
         poses[:, pose.QUATERNION] = continuous(poses[:, pose.QUATERNION] / length[:, None])
         object.__setattr__(self, "poses", _frozen(poses))
@@ -78,7 +78,7 @@ class Demonstration:
 
 
 def continuous(quaternions: Array) -> Array:
-    """Return quaternions (N, 4) of continuous sign: each has the sign nearer to the one before it."""
+    """Return quaternions (N, 4) of continuous sign: each with the sign nearer to its predecessor."""
     flips = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
     signs = np.concatenate([[1.0], np.cumprod(np.where(flips < 0, -1.0, 1.0))])
     return np.asarray(quaternions * signs[:, None], dtype=float)
@@ -92,8 +92,8 @@ class Demonstrations:
         task: the task's name.
         arm: the arm's name.
         items: the trajectories, at least one.
-        held_out: how many of them, the last ones, are kept for evaluation; nothing is learned from them.
-        placement: how they were moved since they were recorded; None if they were not.
+        held_out: number of the last ones that are kept for evaluation only.
+        placement: how they were moved after recording; None if they were not.
 
     Raises:
         BadInputError: there is no trajectory, or none to learn from.
@@ -106,7 +106,7 @@ class Demonstrations:
     placement: "Placement | None" = None
 
     def __post_init__(self) -> None:
-        """Check that there is something."""
+        """Check the number of trajectories."""
         if not self.items:
             raise BadInputError("there must be at least one demonstration, found none")
         if not 0 <= self.held_out < len(self.items):
@@ -119,7 +119,7 @@ class Demonstrations:
         return len(self.items)
 
     def digest(self) -> str:
-        """Return the SHA-256 of what the demonstrations say, whatever file they came from."""
+        """Return the SHA-256 of the content, independent of the file."""
         sha = hashlib.sha256(f"{self.task}\n{self.arm}\n{len(self.items)}\n".encode())
         for item in self.items:
             for values in (item.times, item.poses, item.joints):
@@ -143,15 +143,15 @@ class Placement:
     turn: float
 
     def moved(self, demonstrations: Demonstrations) -> Demonstrations:
-        """Return demonstrations moved; joint angles, which no longer fit, are left out."""
+        """Return the moved demonstrations, without joint angles, which no longer fit."""
         return self._applied(demonstrations, self._pose, self)
 
     def undone(self, demonstrations: Demonstrations) -> Demonstrations:
-        """Return moved demonstrations where they were recorded."""
+        """Return moved demonstrations at their recorded place."""
         return self._applied(demonstrations, pose.inverse(self._pose), None)
 
     def poses(self, poses: Array) -> Array:
-        """Return poses (N, 7) moved."""
+        """Return the moved poses (N, 7)."""
         return pose.compose(np.broadcast_to(self._pose, poses.shape), poses)
 
     def restored(self, poses: Array) -> Array:
@@ -159,7 +159,7 @@ class Placement:
         return pose.compose(np.broadcast_to(pose.inverse(self._pose), poses.shape), poses)
 
     def __str__(self) -> str:
-        """Return it for people."""
+        """Return the motion in words."""
         x, y, z = np.round(self.offset, 4).tolist()
         return f"turned by {np.degrees(self.turn):.1f}° about the base's vertical, then moved by [{x}, {y}, {z}] m"
 

@@ -1,4 +1,4 @@
-"""A task derived from demonstrations: start region, goal, step, orientation rule, and where the arm can follow them."""
+"""Derives a task from demonstrations: start region, goal, step, rotation type; and finds a reachable placement."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,26 +22,26 @@ from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
 
 if TYPE_CHECKING:
-    from koopdqn.tasks.reachability import Reachability
+    from koopdqn.tasks.workcell import Reachability
 
-# The step of the other tasks. Where a demonstration would have fewer steps than the fewest it is shorter, where
-# more than the most longer, within the bounds [m].
+# The default step [m], and its bounds: it is shorter where a demonstration would have too few steps, longer where it
+# would have too many.
 _STEP_M, _LEAST_STEP_M, _LARGEST_STEP_M = 0.0021, 0.0005, 0.005
 _FEWEST_STEPS, _MOST_STEPS = 50, 500
 _STEP_PER_TOLERANCE = 1.05
-# A start nearer to the goal than this many of its tolerances leaves next to nothing to learn.
+# Least distance of a start from the goal, in goal tolerances.
 _LEAST_WAY = 4.0
 
 
 @dataclass(frozen=True)
 class Derived:
-    """A task with the demonstrations it was made from.
+    """A task and the demonstrations it was made from.
 
     Attributes:
         task: the task.
-        training: what it was made from: without idle ends and sensor noise, each bent to end at the goal.
-        held_out: the demonstrations kept for evaluation, without idle ends and sensor noise, ending where they did.
-        notes: what was found, in lines for people.
+        training: without idle ends and sensor noise, each bent to end at the goal.
+        held_out: kept for evaluation, without idle ends and sensor noise, with their own ends.
+        notes: lines for people about the result.
     """
 
     task: DemonstratedTask
@@ -51,15 +51,15 @@ class Derived:
 
 
 class Derivation(TaskChoice):
-    """How a task is made from demonstrations; null leaves the value to them."""
+    """How a task is made from demonstrations; null takes the value from them."""
 
     holdout: int | None = Field(
-        ge=0, description="demonstrations kept for evaluation, the last ones; null: one, none if there is but one"
+        ge=0, description="demonstrations kept for evaluation, the last ones; null: one, or none if there is only one"
     )
     place: Literal["auto"] | None = Field(
         description="auto: move all demonstrations rigidly to where the arm can follow them; null: leave them"
     )
-    turning: RotationType | None = Field(description="what becomes of orientation")
+    turning: RotationType | None = Field(description="how orientation is treated")
     step_m: float | None = Field(ge=1e-4, le=0.05, description="distance of one action [m]")
     rotation_tolerance_rad: float = Field(ge=1e-4, description="to compare poses [rad]")
     goal_tolerance_m: Positive = Field(description="within it the goal counts as reached [m]")
@@ -67,23 +67,24 @@ class Derivation(TaskChoice):
     person: AnyPerson = Field(description="who answers: goes along the demonstrations' mean")
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
     end_spread: Fraction = Field(
-        description="how far a demonstration may end from the mean of all ends, as a share of the median way from start"
+        description="largest distance of an end from the mean of all ends, as a share of the median distance from start"
         " to end"
     )
-    end_spread_rad: Positive = Field(description="the same for its orientation, where that matters [rad]")
-    held_limit_rad: Positive = Field(description="turn from the goal up to which orientation counts as held [rad]")
+    end_spread_rad: Positive = Field(description="the same for its orientation, unless turning=free [rad]")
+    held_limit_rad: Positive = Field(
+        description="rotation distance from the goal up to which orientation counts as held [rad]"
+    )
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
-        """Return the task that demonstrations show.
+        """Return the task of demonstrations.
 
-        The last ``holdout`` of them are put aside and shape nothing. Each of the others loses its idle ends and its
-        sensor noise. The goal is the mean of their ends, and each is bent to end there
-        (:mod:`koopdqn.demonstrations.preprocess`). The nominal start is that of the demonstration that differs least
-        from all; starts are drawn beside all of theirs.
+        The last ``holdout`` of them are held out. The others are preprocessed: idle ends trimmed, noise smoothed, and
+        bent to end at the goal, the mean of their ends (:mod:`koopdqn.demonstrations.preprocess`). The nominal start is
+        that of the demonstration nearest to all; starts are drawn beside all of theirs.
 
         Raises:
-            BadInputError: too many are held out, nothing moves in one, the ends are too far apart, or a start
-                is at the goal.
+            BadInputError: too many are held out, one does not move, the ends are too far apart, or a start is at the
+                goal.
         """
         kept = self.kept_of(len(demonstrations))
         cut = trim_idle_each(demonstrations.items)
@@ -107,10 +108,10 @@ class Derivation(TaskChoice):
         return Derived(task, training, tuple(_oriented(item, goal, turning) for item in aside), notes)
 
     def kept_of(self, count: int) -> int:
-        """Return how many of ``count`` demonstrations are kept for evaluation.
+        """Return how many of ``count`` demonstrations are held out.
 
         Raises:
-            BadInputError: none would be left to learn from.
+            BadInputError: none is left to learn from.
         """
         kept = min(1, count - 1) if self.holdout is None else self.holdout
         if kept >= count:
@@ -159,7 +160,7 @@ class Derivation(TaskChoice):
 
 
 def _oriented(item: Demonstration, goal: Array, turning: RotationType) -> Demonstration:
-    """Return a demonstration with the goal's orientation all along, unless the turn is learned."""
+    """Return a demonstration with the goal's orientation throughout, unless the turn is learned."""
     if turning == "geodesic":
         return item
     return Demonstration(item.times, pose.make(item.poses[:, pose.POSITION], goal[pose.QUATERNION]))
@@ -172,7 +173,7 @@ def _step(trajectories: list[Array]) -> float:
 
 
 def _middle_one(trajectories: list[Array]) -> int:
-    """Return the index of the trajectory (N, 7) whose mean distance from all is least, share by share of the way."""
+    """Return the index of the trajectory (N, 7) with the least mean distance from all, aligned by share of the path."""
     even = np.array([to_count(trajectory, 100)[:, pose.POSITION] for trajectory in trajectories])
     apart = np.linalg.norm(even[:, None] - even[None], axis=3).mean(axis=(1, 2))
     return int(apart.argmin())
@@ -197,12 +198,12 @@ def _taken_out(recorded: Demonstration, smoothed: Demonstration) -> float:
 
 def _about_ends(task: DemonstratedTask, spread: float) -> str:
     start, goal = (np.round(each[pose.POSITION], 4).tolist() for each in (task.nominal_start, task.goal))
-    follows = "keep beside the others what their start lies beside theirs, fading" if task.follows_start else "meet"
+    follows = "keep their offset, fading toward the goal" if task.follows_start else "meet the others"
     half = [round(1e3 * value) for value in task.start_half_range_m]
     return (
         f"start: around {start} m, within ±{task.start_margin_m * 1e3:g} mm of a demonstrated one, together ±{half} mm;"
         f" goal: {goal} m, the mean of ends up to {spread * 1e3:.1f} mm from it;"
-        f" paths from elsewhere {follows}"
+        f" paths from other starts {follows}"
     )
 
 
@@ -222,21 +223,21 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
 _ABOUT_ONE = ("one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated",)
 
 
-# Of a trajectory every so many poses are tried: a joint that stays within its bound over so many steps has room.
+# Trajectories are first tried at every so-many-th pose: joint bounds over several steps are stricter.
 _EVERY = 6
-# Moves tried: turns about the vertical [rad], and ways outward and upward [m].
+# Placements tried: turns about the vertical [rad], and offsets outward and upward [m].
 _TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 _OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
 _UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
-# What counts as much as 0.1 m, to try small moves first.
+# The turn that counts as 0.1 m when sorting placements by size.
 _TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
 
 
 def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
-    """Return the smallest rigid motion tried after which the arm can follow all trajectories (N, 7) with room.
+    """Return the smallest placement tried in which the arm can follow all trajectories (N, 7).
 
-    Around the arm's first joint all places are alike, so the set is turned about its own middle, and moved away from
-    the base or toward it, and up or down.
+    The set is turned about its own middle, and moved outward or inward and up or down; a turn about the base's axis
+    would change nothing but the first joint.
 
     Raises:
         BadInputError: there is none.
@@ -246,7 +247,7 @@ def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) 
     for placement in _candidates(middle):
         tried += 1
         placed = [placement.poses(rows) for rows in trajectories]
-        # Coarsely first: that is quick, and stricter where joints are fast.
+        # Coarsely first: faster, and stricter where joints are fast.
         if all(not blocked_at(reachability, rows, every) for every in (_EVERY, 1) for rows in placed):
             return placement
     raise BadInputError(
@@ -256,7 +257,7 @@ def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) 
 
 
 def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) -> str:
-    """Return where and why the arm cannot follow every so many of a trajectory's poses (N, 7); empty if it can."""
+    """Return where and why the arm cannot follow every ``every``-th pose of a trajectory (N, 7); empty if it can."""
     rows = trajectory[::every]
     joints, motion = reachability.follow_as_far(rows)
     if motion.joints is not None:
@@ -266,7 +267,7 @@ def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) 
 
 
 def _candidates(middle: Array) -> Iterator[Placement]:
-    """Yield placements of a set around its middle (3,) [m], small ones first."""
+    """Yield placements of a set about its middle (3,) [m], the smallest first."""
     flat = np.array([middle[0], middle[1], 0.0])
     outward = flat / max(float(np.linalg.norm(flat)), 1e-9)
     moves = sorted(

@@ -1,4 +1,4 @@
-"""Generating demonstrations: the scripted demonstrator with a person's variation, on the MuJoCo arm."""
+"""Generates demonstrations: the scripted demonstrator with smooth variation, carried out by the MuJoCo arm."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,35 +13,34 @@ from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, at_arc_lengths, hausdorff
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.person import Law
-from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.person import Expert
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Reachability
 
 _HARMONICS = 3
 _SUBSTEPS = 4
-# From one start, two demonstrations of a set differ by at least this share of the variation (Hausdorff distance), so
-# that no two are nearly the same: 5.2 mm where the variation is 4.5 mm.
+# Least Hausdorff distance of two demonstrations from one start, as a share of the variation: 5.2 mm for 4.5 mm.
 _LEAST_DIFFERENCE = 1.155
-# Paths are smooth: every fourth pose, a step apart, tells them apart as well as all do.
+# Smooth paths are compared at every fourth pose, a step apart.
 _COARSER = _SUBSTEPS
 
 
 class DemonstrationSettings(Settings):
-    """How many demonstrations are generated, and how fast they are shown."""
+    """Number and speed of generated demonstrations."""
 
     count: int = Field(ge=1, le=1000)
     speed_m_s: float = Field(ge=0.001, le=1.0, description="average speed of the flange [m/s]")
-    pace_variation: float = Field(ge=0, lt=1, description="how much the speed rises and falls, as a share of it")
+    pace_variation: float = Field(ge=0, lt=1, description="largest change of the speed, as a share of it")
     sample_seconds: float = Field(ge=0.001, le=0.2, description="time between two recorded samples [s]")
 
 
 @dataclass(frozen=True)
 class Generated:
-    """Generated demonstrations and what it took.
+    """Generated demonstrations.
 
     Attributes:
         demonstrations: the trajectories.
-        redrawn: draws per reason that the arm could not carry out and that were drawn again.
+        redrawn: number of draws that the arm could not carry out, by reason.
     """
 
     demonstrations: Demonstrations
@@ -55,18 +54,17 @@ def generate(
     seed: int,
     advance: Callable[[int], None] = lambda done: None,
 ) -> Generated:
-    """Return demonstrations of a task, each from its own start with its own smooth variation and pace.
+    """Return demonstrations of a task, each with a random start, smooth variation and pace.
 
     Args:
-        task: whose demonstrator is followed.
-        reachability: the arm in the task's scene; every sample is reached by it without touching anything.
-        settings: how many, how fast.
+        task: gives the demonstrator.
+        reachability: of the arm in the task's scene; every sample is reachable without collision.
+        settings: number and speed.
         seed: fixes everything.
-        advance: told the number of demonstrations done.
+        advance: called with the number of demonstrations done.
 
     Raises:
-        WorkFailedError: the arm cannot follow the demonstrator even without variation, or too many draws in a row
-            could not be carried out.
+        WorkFailedError: the arm cannot follow the demonstrator even without variation, or refuses too many draws.
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
@@ -75,7 +73,7 @@ def generate(
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
         draws, reason = _draws(task, reachability, rng, nominal, kept, settings.count - len(items))
-        paths = _law(task).roll_outs(np.array([draw.start for draw in draws]).reshape(-1, 7), _limit(task))
+        paths = _expert(task).roll_outs(np.array([draw.start for draw in draws]).reshape(-1, 7), _limit(task))
         for draw, path in zip(draws, paths, strict=True):
             times, poses = _paced(_varied(path, draw.variation), settings, draw.swells)
             joints, refused = reachability.follow(poses)
@@ -133,7 +131,7 @@ def _draws(
 
 
 def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
-    """Raise unless the arm can follow the demonstrator without variation: drawing again would not help."""
+    """Raise WorkFailedError unless the arm can follow the demonstrator without variation."""
     _, poses = _paced(_follow(task, task.nominal_start), settings, _swells(np.random.default_rng(0)))
     joints, motion = reachability.follow_as_far(poses)
     if motion.joints is None:
@@ -146,8 +144,7 @@ def _check_path(task: Task, reachability: Reachability, settings: DemonstrationS
 def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
     """Return a smooth offset (M, 3) [m] for every point of the task's path.
 
-    It is a short random sine series along the path that vanishes at both ends and whose largest
-    value is the task's ``variation_m``.
+    A random sine series that is zero at both ends, with the task's ``variation_m`` as its largest value.
     """
     along = np.linspace(0.0, 1.0, len(task.nominal_path.points))
     offset = np.zeros((len(along), 3))
@@ -157,9 +154,9 @@ def smooth_variation(task: Task, rng: np.random.Generator) -> Array:
 
 
 def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept: list[Array]) -> tuple[Array, Array]:
-    """Return a variation (M, 3) [m] and the positions (N, 3) [m] it makes of the path from the nominal start.
+    """Return a variation (M, 3) [m] and the path from the nominal start with it, as positions (N, 3) [m].
 
-    These differ from the ``kept`` ones of the set; after a thousand draws that resemble others the next is taken.
+    The path differs from the ``kept`` ones, unless a thousand draws did not.
     """
     least = _LEAST_DIFFERENCE * task.variation_m
     for draw in range(1001):
@@ -171,11 +168,11 @@ def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept:
 
 
 def _follow(task: Task, start: Array) -> Array:
-    return _law(task).roll_out(start, _limit(task))
+    return _expert(task).roll_out(start, _limit(task))
 
 
-def _law(task: Task) -> Law:
-    return task.law(finer=_SUBSTEPS)
+def _expert(task: Task) -> Expert:
+    return task.expert(finer=_SUBSTEPS)
 
 
 def _limit(task: Task) -> int:
@@ -183,7 +180,7 @@ def _limit(task: Task) -> int:
 
 
 def _varied(path: Array, variation: Array) -> Array:
-    # The variation lies on the person's own path from this start, however gently that comes back to the nominal one.
+    # The variation is added to the demonstrator's own path from this start.
     arc = arc_lengths(path[:, pose.POSITION])
     offset = at_arc_lengths(variation, np.linspace(0.0, arc[-1], len(variation)), arc)
     return pose.make(path[:, pose.POSITION] + offset, path[:, pose.QUATERNION])
@@ -195,7 +192,7 @@ def _swells(rng: np.random.Generator) -> Array:
 
 
 def _paced(poses: Array, settings: DemonstrationSettings, swells: Array) -> tuple[Array, Array]:
-    # Speed eases in and out and swells smoothly in between; time is the integral of its inverse.
+    # Speed eases in and out and varies smoothly in between; time is the integral of its inverse.
     arc = arc_lengths(poses[:, pose.POSITION])
     share = arc / arc[-1]
     swell = sum(size * np.sin(np.pi * (k + 1) * share + phase) for k, (size, phase) in enumerate(swells.tolist()))

@@ -63,7 +63,7 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
             if item.joints is not None:
                 observations.create_dataset("joint_pos", data=item.joints)
         if demonstrations.held_out:
-            # robomimic's own way to say which demonstrations are for what
+            # robomimic's masks of training and validation demonstrations.
             names = [f"demo_{index}" for index in range(len(demonstrations))]
             learned = len(names) - demonstrations.held_out
             mask = file.create_group("mask")
@@ -236,7 +236,7 @@ def _held_out(file: h5py.File, names: list[str]) -> int:
 
 
 def _read_env_args(text: Any) -> dict[str, Any]:
-    """Return the attribute ``env_args``, by which robomimic says where a file comes from."""
+    """Return robomimic's attribute ``env_args``, the file's origin."""
     try:
         about = parse_json(text)
     except (TypeError, ValueError):

@@ -12,18 +12,18 @@ from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrated import RotationType
 
-# A demonstration is bent over ten times what its end is moved by, so that its direction changes by no more than
-# some ten degrees; a short one over its later half.
+# A demonstration is bent over ten times the distance its end moves, so that its direction changes by some ten degrees
+# at most; a short one is bent over its later half.
 _BENT = 10.0
 
 
 def goal_of(items: Sequence[Demonstration]) -> Array:
-    """Return the mean pose (7,) of demonstrations' ends, the orientation after Markley et al. (2007): from Σ q qᵀ."""
+    """Return the mean pose (7,) of demonstrations' ends, the orientation by Markley et al. (2007) from Σ q qᵀ."""
     ends = np.array([item.poses[-1] for item in items])
     quaternions = ends[:, pose.QUATERNION]
     _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
     mean = vectors[:, -1]
-    # Of its two signs that of the first end, so that nothing hangs on the eigenvector's.
+    # With the sign of the first end; an eigenvector's is arbitrary.
     return pose.make(ends[:, pose.POSITION].mean(axis=0), mean * (1.0 if mean @ quaternions[0] >= 0 else -1.0))
 
 
@@ -56,10 +56,10 @@ def check_orientation(items: Sequence[Demonstration], goal: Array, most: float) 
 
 
 def align_goal(item: Demonstration, goal: Array) -> Demonstration:
-    """Return a demonstration bent so that it ends at the goal (7,), without its joint angles.
+    """Return a demonstration bent to end at the goal (7,), without its joint angles.
 
-    Poses are moved and turned by a share of what its own end lacks: a smooth step from 0 to 1 over the last part of
-    the path, which is ten times as long as that distance or half the path.
+    Poses are moved and turned by a share of the end's offset: a smooth step from 0 to 1 over the last part of the path,
+    which is ten times as long as the offset, or half the path if that is longer.
     """
     offset = goal[pose.POSITION] - item.poses[-1, pose.POSITION]
     arc = arc_lengths(item.poses[:, pose.POSITION])
@@ -67,25 +67,25 @@ def align_goal(item: Demonstration, goal: Array) -> Demonstration:
     share = np.clip((arc - (arc[-1] - length)) / length, 0.0, 1.0)
     weight = share**2 * (3.0 - 2.0 * share)
     position = item.poses[:, pose.POSITION] + weight[:, None] * offset
-    # A turn has no length on the path, so it is made up for over the later half.
+    # A turn has no length along the path, so it is spread over the later half.
     half = np.clip(2.0 * arc / max(arc[-1], 1e-9) - 1.0, 0.0, 1.0)
     turn = pose.to_rotation_vector(
         pose.multiply(goal[pose.QUATERNION], pose.conjugate(item.poses[-1, pose.QUATERNION]))
     )
     bend = pose.from_rotation_vector((half**2 * (3.0 - 2.0 * half))[:, None] * turn)
     poses = pose.make(position, pose.multiply(bend, item.poses[:, pose.QUATERNION]))
-    # Exactly there, whatever rounding made of it.
+    # Exactly at the goal despite rounding.
     sign = 1.0 if poses[-1, pose.QUATERNION] @ goal[pose.QUATERNION] >= 0 else -1.0
     poses[-1] = pose.make(goal[pose.POSITION], sign * goal[pose.QUATERNION])
     return Demonstration(item.times, poses)
 
 
 STILL_M = 0.001
-"""Within this distance of where it stood the arm still stands [m]; sensor noise widens it."""
+"""The arm is idle within this distance [m] of its first or last pose; sensor noise widens it."""
 STILL_RAD = 0.01
-"""The same for a turn [rad]."""
-# Standard deviations of the noise that a still arm's samples are allowed, and how much that may widen the limits:
-# what looks like noise in a sparse recording is its motion.
+"""The same for rotation [rad]."""
+# Width of the noise band of an idle arm in standard deviations, and the most that noise may widen the limits: in a
+# sparse recording motion looks like noise.
 _SIGMAS = 4.0
 _WIDEST = 3.0
 _FEWEST = 5
@@ -96,9 +96,9 @@ class Trimmed:
     """A demonstration without its idle ends.
 
     Attributes:
-        item: what is left; its first and last pose are those at which the arm stood.
-        before: idle time cut off at the start [s].
-        after: idle time cut off at the end [s].
+        item: the rest; its first and last pose are the idle ones.
+        before: idle time removed at the start [s].
+        after: idle time removed at the end [s].
     """
 
     item: Demonstration
@@ -109,9 +109,9 @@ class Trimmed:
 def trim_idle(item: Demonstration) -> Trimmed:
     """Return a demonstration without its idle ends.
 
-    The arm is idle while every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first (or last) one, or
-    within four standard deviations of the sensor noise where that is more, up to three times as much. One idle sample
-    is kept at each end, next to the motion, with the mean pose of the idle samples within the noise.
+    The arm is idle while every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first (or last) one; sensor
+    noise of more than a quarter of these limits widens them, up to threefold. One idle sample is kept at each end, next
+    to the motion, with the mean pose of the idle samples within the noise.
 
     Raises:
         BadInputError: nothing moves.
@@ -150,26 +150,26 @@ def trim_idle_each(items: Sequence[Demonstration]) -> list[Trimmed]:
 def noise_of(item: Demonstration) -> tuple[float, float]:
     """Return the standard deviations of the sensor noise of positions [m] and of orientations [rad].
 
-    They come from the median size of second differences, which motion hardly shows in: those of white noise of standard
-    deviation σ have √6·σ in each component.
+    They are estimated by the median size of second differences, on which motion has little effect: for white noise of
+    standard deviation σ, each component of these has √6·σ.
     """
     if len(item) < _FEWEST:
         return 0.0, 0.0
     position = np.diff(item.poses[:, pose.POSITION], n=2, axis=0)
-    # Of a small turn the quaternion's vector part is half.
+    # The quaternion's vector part is half of a small rotation.
     turn = 2.0 * np.diff(item.poses[:, pose.QUATERNION], n=2, axis=0)
     sizes = [float(np.median(np.linalg.norm(values, axis=1))) for values in (position, turn)]
     return sizes[0] / np.sqrt(6.0), sizes[1] / np.sqrt(6.0)
 
 
 def _still(poses: Array, distance: float, turn: float) -> int:
-    """Return how many poses (N, 7) from the first on are within distance [m] and turn [rad] of it."""
+    """Return the number of first poses (N, 7) within distance [m] and turn [rad] of the first one."""
     moved = (pose.position_distance(poses, poses[0]) > distance) | (pose.rotation_distance(poses, poses[0]) > turn)
     return int(moved.argmax()) if moved.any() else len(poses)
 
 
 def _rest(poses: Array, distance: float, turn: float) -> Array:
-    """Return the mean (7,) of the poses (N, 7) that are within distance [m] and turn [rad] of the first."""
+    """Return the mean (7,) of the poses (N, 7) within distance [m] and turn [rad] of the first one."""
     near = (pose.position_distance(poses, poses[0]) <= distance) & (pose.rotation_distance(poses, poses[0]) <= turn)
     near[0] = True
     mean = poses[near].mean(axis=0)
@@ -179,9 +179,9 @@ def _rest(poses: Array, distance: float, turn: float) -> Array:
 MOST_SAMPLES = 1000
 """A longer recording is first averaged over runs of samples, down to about so many."""
 _FEWEST_SAMPLES = 10
-# A component that varies less than this is constant as far as its sensor can tell [m, 1].
+# A component that varies less than this counts as constant [m, 1].
 _CONSTANT = 1e-6
-# Logarithms of the penalties λ looked among: from none to what leaves waves of some hundred samples.
+# Range of log λ: from no smoothing to waves of some hundred samples.
 _LOG_PENALTIES = (-12.0, 18.0)
 
 
@@ -189,8 +189,8 @@ def smooth(item: Demonstration) -> Demonstration:
     """Return a demonstration whose sensor noise is smoothed out.
 
     Each component of position and quaternion is the minimiser of ‖y − z‖² + λ‖Δ²z‖² (Whittaker 1923), λ by generalised
-    cross-validation (Craven & Wahba 1979): a recording without noise stays as it is. So do fewer than 10 samples.
-    Joint angles, which would no longer belong to the poses, are left out.
+    cross-validation (Craven & Wahba 1979). A recording without noise, or of fewer than 10 samples, is not changed.
+    Joint angles, which no longer fit, are removed.
     """
     times, poses = _thinned(item.times, item.poses)
     if len(times) < _FEWEST_SAMPLES:
@@ -206,12 +206,12 @@ def _smooth_component(values: Array) -> Array:
     if np.ptp(values) < _CONSTANT:
         return values
     count = len(values)
-    # Δ²ᵀΔ², whose upper diagonals are its convolution kernel but for the ends.
+    # Upper diagonals of Δ²ᵀΔ²: its convolution kernel, except at the ends.
     second = np.zeros((3, count))
     for offset, product in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
         for shift, value in enumerate(product):
             second[2 - offset, offset + shift : count - len(product) + 1 + shift] += value
-    # Their eigenvalues are near those with mirrored ends, which cosines give (Garcia 2010).
+    # Its eigenvalues are nearly those with mirrored ends, which are known (Garcia 2010).
     roughness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** 2
 
     def penalised(log_penalty: float) -> Array:
@@ -228,7 +228,7 @@ def _smooth_component(values: Array) -> Array:
 
 
 def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
-    """Return times (M,) and poses (M, 7) averaged over equal runs of samples; first and last sample stay."""
+    """Return times (M,) and poses (M, 7) averaged over equal runs of samples, without the first and the last."""
     run = -(-len(times) // MOST_SAMPLES)
     if run == 1:
         return times, poses
@@ -243,14 +243,14 @@ def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
 
 
 def rotation_type_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> RotationType:
-    """Return what pose trajectories (N, 7) do with orientation on their way to the goal (7,).
+    """Return the rotation type of pose trajectories (N, 7) to the goal (7,).
 
-    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Geodesic: anything else. People turn a
-    little off the geodesic; of their turn the part toward the goal is what Table 1 can follow.
+    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Geodesic: all others. People turn a little
+    off the geodesic, but Table 1 can follow only the part of the turn toward the goal.
     """
     return "held" if largest_turn_from(trajectories, goal) <= held_limit else "geodesic"
 
 
 def largest_turn_from(trajectories: Sequence[Array], goal: Array) -> float:
-    """Return the largest angle [rad] by which a pose of the trajectories (N, 7) is turned from the goal (7,)."""
+    """Return the largest rotation distance [rad] of trajectories (N, 7) from the goal (7,)."""
     return max(float(pose.rotation_distance(trajectory, goal).max()) for trajectory in trajectories)

@@ -1,4 +1,4 @@
-"""Demonstrations from whatever files the user names: HDF5 or CSV, one, several or a glob."""
+"""Reads demonstrations from files, HDF5 or CSV: one, several or a glob."""
 
 import re
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ _CSV = (".csv", ".tsv", ".txt")
 
 
 def files_of(sources: Sequence[str]) -> list[Path]:
-    """Return the files that sources name, each a path or a glob, in the order given; a glob's in natural order.
+    """Return the files of sources, paths or globs, in the given order; those of a glob in natural order.
 
     Raises:
         BadInputError: a glob matches nothing, or a file is named twice.
@@ -38,15 +38,15 @@ def files_of(sources: Sequence[str]) -> list[Path]:
 
 
 def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: bool = False) -> Demonstrations:
-    """Return the demonstrations of all files that sources name (:func:`files_of`), one file after the other.
+    """Return the demonstrations of all files of sources (:func:`files_of`), in their order.
 
     Files that end in .csv, .tsv or .txt are CSV, all others HDF5.
 
     Args:
         sources: paths or globs, at least one.
-        task: name of the task they are to be of; CSV files do not say.
-        arm: name of the arm, which CSV files do not say either.
-        any_task: whether HDF5 files of other tasks will do.
+        task: name of their task; CSV files have none.
+        arm: name of the arm for CSV files, which have none.
+        any_task: whether HDF5 files of other tasks are accepted.
 
     Raises:
         BadInputError: a file is missing, damaged or of another task.

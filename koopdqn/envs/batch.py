@@ -76,7 +76,7 @@ class Batch:
         self._frame = reward.model.start_frame
         self._limit = limit
         self._tries = np.zeros(count, dtype=np.int64)
-        starts = StartSampler(self._task, workcell.reachability, self._frame, [], step_limit=limit)
+        starts = StartSampler(workcell, self._frame, [], limit)
         feedback = Feedback(reward, parts.oracle, parts.feedback, parts.budget)
         self._env = VectorEnv(workcell, feedback, starts, count, rng)
 
@@ -98,7 +98,7 @@ class Batch:
     def observations(self) -> NDArray[np.float32]:
         """Return the agent's observations, (N, 5) with orientation held and (N, 8) otherwise."""
         episodes = self._env.episodes
-        return observe(self._frame.placed(episodes.poses, episodes.starts), self._task)
+        return observe(self._frame.to_frame(episodes.poses, episodes.starts), self._task)
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Steps:
         """Try an action in each episode: labels, inverse kinematics and collisions of all at once.

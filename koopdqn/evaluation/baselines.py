@@ -11,14 +11,14 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import IntentReward
-from koopdqn.intent.signs import along_mean
+from koopdqn.intent.validation import mean_expert
 from koopdqn.paths import between, mean_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import COUNT, nearest_actions
-from koopdqn.tasks.person import ShownPath
+from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out
 from koopdqn.tasks.step import IN_PLACE
-from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_wishes
+from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_next_poses
 from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:
@@ -95,13 +95,13 @@ class MeanTangent:
         task: gives goal and step.
     """
 
-    mean: ShownPath
+    mean: ReferencePath
     task: Task
 
     @classmethod
     def of(cls, trajectories: list[Array], task: Task) -> "MeanTangent":
         """Return the prediction from demonstrated poses (N, 7) at the agent's step, told in the start frame."""
-        return cls(ShownPath.along(_mean(trajectories)), task)
+        return cls(ReferencePath.along(_mean(trajectories)), task)
 
     def __call__(self, poses: Array) -> Array:
         """Return the next poses (N, 7) of poses (N, 7)."""
@@ -146,7 +146,7 @@ class Greedy:
         if self.instead is None:
             wished = self.model.intended(poses, starts)
         else:
-            wished = frame.unplaced(self.instead(frame.placed(poses, starts)), starts, poses)
+            wished = frame.from_frame(self.instead(frame.to_frame(poses, starts)), starts, poses)
         return nearest_actions(poses, self.model.to_step(poses, wished, self.task.step_m), self.task)
 
 
@@ -208,7 +208,7 @@ def baseline_episodes(
 
     def mean_path(start: Array) -> Array:
         # People who follow their start begin there; the others go to where the mean begins.
-        path = frame.unplaced(mean, start[None], mean)
+        path = frame.from_frame(mean, start[None], mean)
         return np.concatenate([straight_path(start, path[0], task), path[1:]])
 
     yield "straight_line", followed(lambda start: straight_path(start, task.goal, task))
@@ -218,11 +218,11 @@ def baseline_episodes(
     yield "argmax_reward", controlled(best_by_reward)
     yield "nearest_velocity", controlled(Greedy(model, task, NearestVelocity.of(placed, task)))
     yield "mean_tangent", controlled(Greedy(model, task, MeanTangent.of(placed, task)))
-    yield "mean_pursuit", controlled(Greedy(model, task, along_mean(placed, task).next_pose))
+    yield "mean_pursuit", controlled(Greedy(model, task, mean_expert(placed, task).next_pose))
     yield "nearest_demonstration", followed(lambda start: replay_path(start, trajectories, task))
     mean = _mean(placed)
     yield "mean_demonstration", followed(mean_path)
-    wishes = partial(demonstrator_wishes, task)
+    wishes = partial(demonstrator_next_poses, task)
     yield "floor", controlled(lambda poses, begun: nearest_actions(poses, wishes(poses, begun), task))
 
 

@@ -12,10 +12,10 @@ from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviat
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.paths import arc_lengths, discrete_frechet, to_count
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.rollout import FAILURES, SUCCESS, Episode
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Reachability
 
 SAMPLES = 200
 """Points at equal shares of arc length at which a path and its reference are compared."""
@@ -242,9 +242,9 @@ def _spread(values: Array) -> dict[str, float | None]:
 def _tube_fraction(paths: list[Array], frame: StartFrame, trust: TrustDomain) -> float | None:
     if not paths:
         return None
-    reached = np.concatenate([frame.placed(path[1:], path[:1]) for path in paths])
+    reached = np.concatenate([frame.to_frame(path[1:], path[:1]) for path in paths])
     steps = np.concatenate([np.arange(1, len(path)) for path in paths])
-    return float(trust.inside(reached, steps).mean())
+    return float(trust.contains(reached, steps).mean())
 
 
 def _length_ratio(moved: list[tuple[Array, Array]]) -> float | None:

@@ -1,4 +1,4 @@
-"""The box: k standard deviations around the mean of every step, as the paper draws its trust domain (§3.4)."""
+"""The paper's trust domain: k standard deviations around the mean of every step (§3.4)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,27 +7,27 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrated, components_of, no_balls
+from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrate, components_of, no_balls
 from koopdqn.paths import to_count
 from koopdqn.pose import Array
 
 
 class BoxSettings(TrustSettings):
-    """How the boxes are drawn."""
+    """How the boxes are fitted."""
 
     matching: Literal["step", "any", "everywhere", "nowhere"] = Field(
-        description="compare with the demonstrations' same step (the paper) or with any of their steps; or, to see what"
-        " the domain is good for, trust everything or nothing"
+        description="compare with the demonstrations' same step (the paper) or with any of their steps; everywhere and"
+        " nowhere, for ablations, trust everything or nothing"
     )
     sigmas: float = Field(gt=0, description="k: half the width of the domain, in standard deviations")
     position_floor_m: float = Field(ge=0, description="least standard deviation of x, y, z [m]")
     rotation_floor_rad: float = Field(ge=0, description="least standard deviation of roll, pitch, yaw [rad]")
 
     def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> TrustDomain:
-        """Return the domain of pose trajectories (N, 7) with the right signs (N − 1, L, 2) of each.
+        """Return the boxes of pose trajectories (N, 7) with right signs (N − 1, L, 2) each.
 
-        With matching by step, the statistics of step t are over the demonstrations that have a step t, as
-        in §3.4. Otherwise demonstrations are first aligned by their share of path travelled.
+        With matching by step, the statistics of step t are over the demonstrations that have a step t (§3.4).
+        Otherwise demonstrations are first aligned by the share of their path.
         """
         components = [components_of(trajectory, frame) for trajectory in trajectories]
         longest = max(len(rows) for rows in components)
@@ -35,7 +35,7 @@ class BoxSettings(TrustSettings):
             aligned = [components_of(to_count(trajectory, longest), frame) for trajectory in trajectories]
             stack = np.array(aligned)
             mean, deviation = stack.mean(axis=0), stack.std(axis=0)
-            # Where each state lies among so many steps.
+            # The aligned step nearest to each state.
             places = [np.rint(np.linspace(0, longest - 1, len(rows)))[:-1].astype(int) for rows in components]
         else:
             at_step = [[rows[t] for rows in components if t < len(rows)] for t in range(longest)]
@@ -43,11 +43,11 @@ class BoxSettings(TrustSettings):
             deviation = np.array([np.std(rows, axis=0) for rows in at_step])
             places = [np.arange(len(rows) - 1) for rows in components]
         floor = np.repeat([self.position_floor_m, self.rotation_floor_rad], 3)
-        sure = calibrated(places, signs, longest, 0, self)
+        sure = calibrate(places, signs, longest, 0, self)
         return Box(self, *sure, self._no_balls(), frame, mean, np.maximum(deviation, floor))
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
-        """Return the domain whose arrays these are."""
+        """Return the domain with these arrays."""
         return Box(
             self,
             arrays["right"],
@@ -64,12 +64,10 @@ class BoxSettings(TrustSettings):
 
 @dataclass(frozen=True)
 class Box(TrustDomain):
-    """A box of k standard deviations around the mean of every step, less the steps where the model errs.
-
-    Roll, pitch and yaw are those of the rotation relative to a frame that keeps them from their singularity.
+    """A box of k standard deviations around the mean of every step, except at steps where the model errs.
 
     Attributes:
-        frame: (2, 4) that frame, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
+        frame: (2, 4) of roll, pitch and yaw, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
         mean: (T, 6) [m, rad] of x, y, z, roll, pitch, yaw at every step.
         deviation: (T, 6) standard deviations, not below their floors.
     """
@@ -83,32 +81,32 @@ class Box(TrustDomain):
         """Return frame, mean and deviation."""
         return {"frame": self.frame, "mean": self.mean, "deviation": self.deviation}
 
-    def covers(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return whether poses (N, 7) are in a box (by step: that of their own step), and the least doubt of such."""
+    def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether a box (with matching by step, that of their step) contains poses (N, 7), and its doubt."""
         if self.settings.matching in ("everywhere", "nowhere"):
             everything = np.full(len(poses), self.settings.matching == "everywhere")
             return everything, np.full(len(poses), self.settings.doubts[0])
         rows = components_of(poses, self.frame)
         width = self.settings.sigmas * self.deviation
         if self.settings.matching == "step":
-            # Past the demonstrations' end it is their last.
+            # Past the demonstrations' end, their last step.
             index = np.minimum(steps, len(self.mean) - 1)
             return np.asarray(np.all(np.abs(rows - self.mean[index]) <= width[index], axis=1)), self.doubt[index]
-        inside: np.ndarray = np.ones((len(rows), len(self.mean)), dtype=bool)
+        contained: np.ndarray = np.ones((len(rows), len(self.mean)), dtype=bool)
         # One component at a time keeps the (N, T) temporaries small.
         for i in range(rows.shape[1]):
-            inside &= np.abs(rows[:, i : i + 1] - self.mean[:, i]) <= width[:, i]
-        return np.asarray(inside.any(axis=1)), np.where(inside, self.doubt, np.inf).min(axis=1)
+            contained &= np.abs(rows[:, i : i + 1] - self.mean[:, i]) <= width[:, i]
+        return np.asarray(contained.any(axis=1)), np.where(contained, self.doubt, np.inf).min(axis=1)
 
     def depth(self, poses: Array) -> Array:
-        """Return how far poses (N, 7) are from the nearest box's middle, in half widths of the worst component."""
+        """Return the distances (N,) of poses (N, 7) from the nearest box's center, in half widths."""
         if self.settings.matching in ("everywhere", "nowhere"):
             return np.full(len(poses), 0.0 if self.settings.matching == "everywhere" else np.inf)
         rows = components_of(poses, self.frame)
         return np.asarray(self._sigmas(rows).max(axis=2).min(axis=1) / self.settings.sigmas)
 
     def gap(self, poses: Array) -> Array:
-        """Return how far the positions of poses (N, 7) are outside every box, (N,) [m]."""
+        """Return the distances (N,) [m] of the positions of poses (N, 7) from the nearest box."""
         if self.settings.matching in ("everywhere", "nowhere"):
             return np.zeros(len(poses))
         width = self.settings.sigmas * self.deviation[:, :3]
@@ -116,7 +114,7 @@ class Box(TrustDomain):
         return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=2).min(axis=1))
 
     def reason(self, point: Array, step: int) -> str:
-        """Return which component of a pose (7,) is how far off, or how seldom rewards are right there."""
+        """Return which component of a pose (7,) is too far off, or how few rewards are right there."""
         if self.settings.matching == "nowhere":
             return "nothing is trusted (trust.matching=nowhere)"
         sigmas = self._sigmas(components_of(point[None], self.frame))[0]
@@ -130,6 +128,6 @@ class Box(TrustDomain):
         return self.doubt_of(nearest)
 
     def _sigmas(self, rows: Array) -> Array:
-        """Return how many standard deviations rows (N, 6) are from the mean of every step, (N, T, 6)."""
+        """Return the distances (N, T, 6) of rows (N, 6) from the mean of every step, in standard deviations."""
         gap = np.abs(rows[:, None] - self.mean)
         return np.where(gap > 0, gap / np.where(self.deviation > 0, self.deviation, 1e-12), 0.0)

@@ -1,4 +1,4 @@
-"""Corrections: an intent model that goes where answers say around the poses that they were given for."""
+"""Corrections: answers change an intent model's predictions around the poses they were given for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,27 +11,26 @@ from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
 
-# Orientations farther than this from a pair's [rad] are not moved by it.
+# A pair corrects no orientation farther than this from its own [rad].
 _SUPPORT_RAD = 0.35
-# Nearer to the goal than this [m] corrections fade, so that it stays where it is.
+# Within this distance of the goal [m] corrections fade, so that the goal stays a fixed point.
 _GOAL_M = 0.015
-# Of two poses this near [m] none is nearer.
+# Distances below this [m] count as equal.
 _SAME_M = 1e-4
 
 
 @dataclass(frozen=True)
 class CorrectedIntent(IntentModel):
-    """An intent model that around some poses makes the motions that a person called right there.
+    """An intent model corrected by pairs of poses from a person's answers.
 
-    Within half a pair's reach the prediction is the pair's own motion, or that of several, the nearer the more it
-    counts (Shepard 1968, inverse squared distances); it blends into the base model's up to the reach, and beyond
-    it is the base model's.
+    Within half a pair's reach the prediction is the pair's own motion; several pairs are interpolated by inverse
+    squared distances (Shepard 1968). From there to the reach it blends into the base model's prediction.
 
     Attributes:
         base: the model as it was fitted.
         poses: (M, 7) the pairs' poses.
-        following: (M, 7) where a person would go from them.
-        reaches: (M,) [m] how far from its pose each pair moves the prediction.
+        following: (M, 7) a person's next poses.
+        reaches: (M,) [m] within which each pair corrects the prediction.
     """
 
     base: IntentModel
@@ -40,7 +39,7 @@ class CorrectedIntent(IntentModel):
     reaches: Array
 
     @property
-    def goal(self) -> Array:  # type: ignore[override]  # what a model holds as a field this one takes from its base
+    def goal(self) -> Array:  # type: ignore[override]  # a field of other models, the base's here
         """The goal pose (7,)."""
         return self.base.goal
 
@@ -51,23 +50,23 @@ class CorrectedIntent(IntentModel):
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
-        return self.moved(poses, self.base.predict(poses))
+        return self.correct(poses, self.base.predict(poses))
 
     @property
     def fitted(self) -> IntentModel:
         """The base."""
         return self.base
 
-    def moved(self, poses: Array, predicted: Array) -> Array:
-        """Return what the pairs make of the base's predictions (N, 7) from poses (N, 7)."""
+    def correct(self, poses: Array, predicted: Array) -> Array:
+        """Return the base's predictions (N, 7) at poses (N, 7), corrected by the pairs."""
         blend, weights = self._blend(poses)
         rows = np.flatnonzero(blend > 0.0)
         if not len(rows):
             return predicted
         share, weights = blend[rows, None], weights[rows]
-        answered = weights @ _difference(self.following, self.poses)
-        own = _difference(predicted[rows], poses[rows])
-        # A base model that leaps where it knows nothing must not outweigh an answer of one step.
+        answered = weights @ pose.difference(self.following, self.poses)
+        own = pose.difference(predicted[rows], poses[rows])
+        # A long prediction far from the data must not outweigh an answer of one step.
         length = pose.norm(answered[:, :3]) / np.maximum(pose.norm(own[:, :3]), _SAME_M)
         own[:, :3] *= np.where(share < 1.0, np.minimum(length, 1.0)[:, None], 1.0)
         motion = share * answered + (1.0 - share) * own
@@ -77,7 +76,7 @@ class CorrectedIntent(IntentModel):
         return predicted
 
     def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
-        """Return predictions (N, 7) as motions of one step, as the base scales them."""
+        """Return predictions (N, 7) rescaled to one step as the base does."""
         return self.base.to_step(poses, predicted, step)
 
     @property
@@ -91,7 +90,7 @@ class CorrectedIntent(IntentModel):
         return {**self.base.arrays(), **pairs}
 
     def _blend(self, poses: Array) -> tuple[Array, Array]:
-        """Return how much answers count at poses (N, 7), (N,), and how much each of them does, (N, M), in sum 1."""
+        """Return the blend of the answers (N,) at poses (N, 7), and the weight of each (N, M), which sum to 1."""
         position = poses[:, pose.POSITION]
         moved = pose.norm(position[:, None] - self.poses[:, pose.POSITION])
         cosine = np.clip(np.abs(poses[:, pose.QUATERNION] @ self.poses[:, pose.QUATERNION].T), 0.0, 1.0)
@@ -104,10 +103,10 @@ class CorrectedIntent(IntentModel):
 
 
 def corrected(model: IntentModel, poses: Array, following: Array, reaches: Array) -> IntentModel:
-    """Return a model with additional pairs: from poses (M, 7) a person goes to ``following`` (M, 7).
+    """Return a model corrected by pairs: from poses (M, 7) a person goes to ``following`` (M, 7).
 
-    They move the prediction within ``reaches`` (M,) [m] of their poses and nowhere else, so that an answer counts as
-    a fact about its surroundings. Equal pairs give the same model, and no pairs the model itself.
+    They correct the prediction within ``reaches`` (M,) [m] of their poses and nowhere else. No pairs give the model
+    itself.
     """
     if not len(poses):
         return model
@@ -118,7 +117,7 @@ def corrected(model: IntentModel, poses: Array, following: Array, reaches: Array
 
 
 def restored(arrays: Mapping[str, np.ndarray], settings: IntentSettings) -> IntentModel:
-    """Return the model whose :meth:`IntentModel.arrays` these are, with the pairs that it was corrected by."""
+    """Return the model with these :meth:`IntentModel.arrays`, corrections included."""
     model = settings.restore(arrays)
     if "pairs_before" in arrays:
         return corrected(model, *(arrays[f"pairs_{name}"] for name in ("before", "after", "reach")))
@@ -126,13 +125,6 @@ def restored(arrays: Mapping[str, np.ndarray], settings: IntentSettings) -> Inte
 
 
 def _fading(share: Array) -> Array:
-    """Return Wendland's C² function of shares (...): 1 up to 0, 0 from 1 on."""
+    """Return Wendland's C² function of shares (...): 1 at 0 and below, 0 at 1 and above."""
     share = np.clip(share, 0.0, 1.0)
     return np.asarray((1.0 - share) ** 4 * (4.0 * share + 1.0))
-
-
-def _difference(poses: Array, others: Array) -> Array:
-    """Return x, y, z [m] and the rotation vector [rad] (N, 6) from other poses (N, 7) to poses (N, 7)."""
-    turn = pose.multiply(pose.conjugate(others[:, pose.QUATERNION]), poses[:, pose.QUATERNION])
-    moved = poses[:, pose.POSITION] - others[:, pose.POSITION]
-    return np.concatenate([moved, pose.to_rotation_vector(pose.canonical(turn))], axis=1)

@@ -1,4 +1,4 @@
-"""Fitting the intent model and its trust domain, cross-validated, and what ``fit.json`` says of them."""
+"""Fits the intent model and its trust domain, cross-validates them, and reports the results for ``fit.json``."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,26 +14,27 @@ from koopdqn.intent.box import Box
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.reward import TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.schema import FitReport
-from koopdqn.intent.signs import jackknifed, left_out
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.intent.tube import Tube
-from koopdqn.intent.validation import Fold, convergence, cross_validate, differences, sizes_of
+from koopdqn.intent.validation import Fold, convergence, cross_validate, jackknife_signs, left_out_share, sizes_of
 from koopdqn.paths import arc_lengths, hausdorff, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.actions import within_tolerance
-from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_wishes
+from koopdqn.tasks.actions import reached_poses, within_tolerance
+from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_next_poses
 
 _PAPER_SAMPLES = 60
 _PAPER_LARGEST_ERROR_M = 2.3e-3
 
 
 def roll_out_summary(folds: Sequence[Fold], task: Task) -> dict[str, Any] | None:
-    """Return how far models followed from the start of what they have not seen end from the goal, and pass from it."""
+    """Return the errors of roll-outs from the start of each left-out demonstration; None without folds."""
     if not folds:
         return None
-    rollouts = [_roll_out_error(fold.model, fold.held_out, task) for fold in folds]
-    finals, apart = ([r[key] for r in rollouts] for key in ("final", "hausdorff"))
+    # JSON has no infinity for a model that diverges.
+    finals, apart = (
+        np.minimum(each, 1e3).tolist() for each in zip(*(_roll_out_error(f, task) for f in folds), strict=True)
+    )
     return {
         "final": finals,
         "hausdorff": apart,
@@ -42,47 +43,49 @@ def roll_out_summary(folds: Sequence[Fold], task: Task) -> dict[str, Any] | None
     }
 
 
-def _roll_out_error(model: IntentModel, held_out: Array, task: Task) -> dict[str, float]:
-    steps = 2 * len(held_out)
-    path = model.roll_out(held_out[:1], steps, task.step_m)[:, 0, pose.POSITION]
-    target = held_out[:, pose.POSITION]
+def _roll_out_error(fold: Fold, task: Task) -> tuple[float, float]:
+    """Return the final distance [m] of a fold's roll-out from the goal, and the Hausdorff distance to the fold."""
+    steps = 2 * len(fold.held_out)
+    path = fold.model.roll_out(fold.held_out[:1], steps, task.step_m)[:, 0, pose.POSITION]
     final = float(np.linalg.norm(path[-1] - task.goal[pose.POSITION]))
-    far = hausdorff(path, target)
-    # A model that diverges ends far outside any workspace; JSON knows no infinity.
-    return {"final": min(final, 1e3), "hausdorff": min(far, 1e3)}
+    return final, hausdorff(path, fold.held_out[:, pose.POSITION])
 
 
-def held_out_inside(
+def held_out_contained(
     trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
 ) -> list[np.ndarray]:
-    """Return whether the trust domain of the others holds each pose of each demonstration, (N,); none for a single one.
+    """Return whether the trust domain of the others contains each pose of each demonstration, (N,) each.
+
+    The list is empty for a single demonstration.
 
     Args:
         trajectories: demonstrated poses (N, 7).
-        signs: (N − 1, L, 2) of each, as :meth:`TrustDomain.fit` takes them.
+        signs: (N − 1, L, 2) for each, as :meth:`TrustSettings.fit` takes them.
         task: gives the frame of angles.
-        settings: how the domains are drawn.
+        settings: how the domains are fitted.
     """
-    inside = []
+    contained = []
     for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
         others = [i for i in range(len(trajectories)) if i != index]
-        fold = TrustDomain.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame, settings)
-        inside.append(fold.inside(held_out, np.arange(len(held_out))))
-    return inside
+        fold = settings.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame)
+        contained.append(fold.contains(held_out, np.arange(len(held_out))))
+    return contained
 
 
-def trust_summary(domain: TrustDomain, count: int, inside: Sequence[np.ndarray], fresh: list[Array]) -> dict[str, Any]:
+def trust_summary(
+    domain: TrustDomain, count: int, contained: Sequence[np.ndarray], fresh: list[Array]
+) -> dict[str, Any]:
     """Return width and coverage of a trust domain.
 
     Args:
-        domain: drawn from all demonstrations.
-        count: how many those are.
-        inside: of them, as :func:`held_out_inside` returns it.
+        domain: fitted to all demonstrations.
+        count: their number.
+        contained: as :func:`held_out_contained` returns it.
         fresh: poses (N, 7) of demonstrations that nothing was fitted to.
     """
     settings = domain.settings
     tube = domain if isinstance(domain, Tube) else None
-    shares, whole = [float(held.mean()) for held in inside], [bool(held.all()) for held in inside]
+    shares, whole = [float(each.mean()) for each in contained], [bool(each.all()) for each in contained]
     return {
         "sigmas": domain.settings.sigmas if isinstance(domain, Box) else None,
         "matching": domain.settings.matching if isinstance(domain, Box) else "any",
@@ -101,12 +104,12 @@ def trust_summary(domain: TrustDomain, count: int, inside: Sequence[np.ndarray],
 
 
 def right_summary(folds: Sequence[Fold], reward: IntentReward, fresh: list[Array]) -> dict[str, float | None]:
-    """Return how often the signs of rewards are right.
+    """Return the shares of rewards whose sign is right.
 
     Args:
         folds: of the cross-validation.
         reward: by the model and the trust domain fitted to all demonstrations.
-        fresh: poses (N, 7) of demonstrations that nothing was fitted to, not placed.
+        fresh: poses (N, 7) of demonstrations that nothing was fitted to, as recorded.
     """
     trust, prediction = reward.trust, reward.settings.prediction
     doubt = float(np.median(trust.doubt))
@@ -114,26 +117,26 @@ def right_summary(folds: Sequence[Fold], reward: IntentReward, fresh: list[Array
         "least_right": trust.settings.least_right,
         "doubt": doubt if np.isfinite(doubt) else None,
         "right_share": float(trust.right[trust.known].mean()) if folds and trust.known.any() else None,
-        "left_out_right_share": left_out(folds, reward.task, prediction, trust.settings.doubts[0]) if folds else None,
+        "left_out_right_share": left_out_share(folds, reward.task, prediction, trust.settings.doubts[0]),
         "fresh_right_share": _trusted_right(reward, fresh) if fresh else None,
     }
 
 
 def _trusted_right(reward: IntentReward, trajectories: list[Array]) -> float | None:
-    """Return the share of trusted rewards along pose trajectories (N, 7) that agree with the task's person."""
+    """Return the share of trusted rewards along pose trajectories (N, 7) that the demonstrator agrees with."""
     right = of = 0
     for rows in trajectories:
         before, starts = rows[:-1], np.repeat(rows[:1], len(rows) - 1, axis=0)
-        judged = reward.evaluate_actions(before, np.arange(len(before)), starts)
-        wished = demonstrator_wishes(reward.task, before, starts)
-        agrees = within_tolerance(judged.reached, wished[:, None], reward.task) == (judged.reward >= 0)
-        trusted = judged.source == TRUSTED
+        evaluation = reward.evaluate_actions(before, np.arange(len(before)), starts)
+        wished = demonstrator_next_poses(reward.task, before, starts)
+        agrees = within_tolerance(evaluation.reached, wished[:, None], reward.task) == (evaluation.reward >= 0)
+        trusted = evaluation.source == TRUSTED
         right, of = right + int((agrees & trusted).sum()), of + int(trusted.sum())
     return right / of if of else None
 
 
 def path_coverage(domain: TrustDomain, trajectories: list[Array]) -> float:
-    """Return the share of pose trajectories (N, 7) that a domain's shape holds from end to end."""
+    """Return the share of pose trajectories (N, 7) that a domain's shape contains from end to end."""
     return float(np.mean([bool((domain.distance(rows) <= 1.0).all()) for rows in trajectories]))
 
 
@@ -146,9 +149,9 @@ def sampled_at(trajectories: list[Array], task: Task) -> Task:
 def sixty_samples(
     demonstrations: Demonstrations, task: Task, intent: IntentSettings
 ) -> tuple[dict[str, float | None] | None, list[Array]]:
-    """Return the held-out one-step errors at the paper's sampling: beside those of predicting no motion, and each.
+    """Return a summary of the held-out one-step errors at the paper's sampling, and the errors themselves.
 
-    The latter are the errors (59, 2) [m, rad] of every demonstration; nothing comes of a single one.
+    The errors are (59, 2) [m, rad] for each demonstration. Both are empty for a single demonstration.
     """
     if len(demonstrations) == 1:
         return None, []
@@ -158,7 +161,7 @@ def sixty_samples(
     for index, held_out in enumerate(trajectories):
         others = trajectories[:index] + trajectories[index + 1 :]
         fold = next(iter(intent.alternatives(others, task).values()))
-        errors.append(sizes_of(differences(fold.predict(held_out[:-1]), held_out[1:])))
+        errors.append(sizes_of(pose.difference(fold.predict(held_out[:-1]), held_out[1:])))
         moved = pose.position_distance(held_out[1:], held_out[:-1])
         motions.append(np.stack([moved, pose.rotation_distance(held_out[1:], held_out[:-1])], axis=1))
     error, motion = np.concatenate(errors), np.concatenate(motions)
@@ -183,30 +186,30 @@ _TURNS = ("about_x", "about_y", "about_z")
 
 
 class FitSettings(Settings):
-    """What ``koopdqn fit`` measures beside fitting."""
+    """What ``koopdqn fit`` measures in addition."""
 
     fresh: int = Field(ge=0, le=1000, description="demonstrations generated to measure the trust domain's coverage on")
-    seed: int = Field(ge=0, description="of those; another than the demonstrations'")
+    seed: int = Field(ge=0, description="of those; different from the demonstrations' seed")
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A fitted intent with what is known about it.
+    """A fitted intent and its cross-validation.
 
     Attributes:
         model: fitted to all demonstrations.
-        trust: where to rely on it.
+        trust: its trust domain.
         report: the content of ``fit.json``.
         folds: of the cross-validation, one for each demonstration; none for a single one.
-        inside: (N,) for each demonstration, whether the trust domain of the others holds each pose; as `folds`.
-        sixty: (59, 2) [m, rad] for each demonstration, its errors at the paper's sampling; as `folds`.
+        contained: (N,) for each fold, whether the trust domain of the others contains each pose.
+        sixty: (59, 2) [m, rad] for each fold, its errors at the paper's sampling.
     """
 
     model: IntentModel
     trust: TrustDomain
     report: dict[str, Any]
     folds: tuple[Fold, ...]
-    inside: list[np.ndarray]
+    contained: list[np.ndarray]
     sixty: list[Array]
 
 
@@ -228,13 +231,13 @@ def fit(
     """Return the intent model, its trust domain and the cross-validation report.
 
     Args:
-        demonstrations: of the task. One is left out at a time; of a single one nothing can be measured.
+        demonstrations: of the task; without cross-validation if there is only one.
         task: gives goal, step and tolerances.
         intent: how the model is fitted.
-        trust: how the domain is drawn.
+        trust: how the domain is fitted.
         reward: how rewards are made; the domain is calibrated on their signs.
-        advance: told the number of folds done.
-        fresh: further demonstrations, which the trust domain is measured on.
+        advance: called with the number of folds done.
+        fresh: further demonstrations, on which the trust domain is measured.
 
     Raises:
         BadInputError: the demonstrations are of another task, or do not end at the goal.
@@ -244,19 +247,19 @@ def fit(
     frame = intent.start_frame(shown, task)
     trajectories = frame.each(shown)
     found = cross_validate(trajectories, task, intent, advance)
-    model = IntentModel.fit(trajectories, task, intent.with_ridge(found.ridge)).within(frame)
-    # Of a single demonstration nothing can be left out, and nothing speaks against it.
-    signs = jackknifed(found.folds, trajectories, task, reward.prediction, trust.doubts)
+    model = intent.with_ridge(found.ridge).fit(trajectories, task).within(frame)
+    # A single demonstration cannot be left out: all its signs count as right.
+    signs = jackknife_signs(found.folds, trajectories, task, reward.prediction, trust.doubts)
     if not signs:
         signs = [np.ones((len(trajectories[0]) - 1, len(trust.doubts), 2))]
-    domain = TrustDomain.fit(trajectories, signs, task.frame, trust)
+    domain = trust.fit(trajectories, signs, task.frame)
     first = next(iter(model.matrices.values()))
     turning = model.matrices.get("K_o")
     learned = task.orientation == "learned"
     raw = [sizes_of(fold.error) for fold in found.folds]
     unseen = agent_steps(fresh, task) if fresh else []
     region = convergence(model, domain, trajectories, task)
-    inside = held_out_inside(trajectories, signs, task, trust)
+    contained = held_out_contained(trajectories, signs, task, trust)
     at_sixty, sixty = sixty_samples(demonstrations, task, intent.with_ridge(found.ridge))
     report: dict[str, Any] = {
         "task": task.name,
@@ -280,14 +283,14 @@ def fit(
         "spectral_radius_rotation": None if turning is None else turning.spectral_radius(),
         "lifted_dimension": len(first.matrix),
         "trust": {
-            **trust_summary(domain, len(trajectories), inside, frame.each(unseen)),
+            **trust_summary(domain, len(trajectories), contained, frame.each(unseen)),
             **right_summary(found.folds, IntentReward(task, model, domain, reward), unseen),
         },
         "unmatched_share": unmatched_share(trajectories, task),
         "sixty_samples": at_sixty,
     }
     checked = FitReport.model_validate(report).model_dump(mode="json")
-    return Fitted(model, domain, checked, found.folds, inside, sixty)
+    return Fitted(model, domain, checked, found.folds, contained, sixty)
 
 
 def _check(demonstrations: Demonstrations, task: Task) -> None:
@@ -335,9 +338,7 @@ def _per_step(sizes: list[Array]) -> dict[str, list[float]] | None:
 
 
 def unmatched_share(trajectories: list[Array], task: Task) -> float:
-    """Return the share of demonstrated steps that no action can match within the task's tolerances."""
-    from koopdqn.tasks.actions import reached_poses
-
+    """Return the share of demonstrated steps that no action matches within the task's tolerances."""
     unmatched = total = 0
     for trajectory in trajectories:
         candidates = reached_poses(trajectory[:-1], task)

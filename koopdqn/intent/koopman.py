@@ -9,33 +9,30 @@ import numpy as np
 from koopdqn.intent.observables import Observables
 from koopdqn.pose import Array
 
-# Pairs from which on they are lifted and summed block by block; a block of few features fits the processor's cache.
+# From so many pairs on, they are lifted and summed block by block; a block fits the processor's cache.
 _AT_ONCE: Final = 100_000
 _BLOCK: Final = 4096
 
 
 def snapshot_pairs(trajectories: list[Array]) -> tuple[Array, Array]:
-    """Return states (M, d) and their successors (M, d), paired within each trajectory (N, d) and never across two."""
+    """Return states (M, d) and their successors (M, d) in trajectories (N, d); no pair spans two trajectories."""
     before = np.concatenate([trajectory[:-1] for trajectory in trajectories])
     after = np.concatenate([trajectory[1:] for trajectory in trajectories])
     return before, after
 
 
-def koopman_matrix(before: Array, after: Array, ridge: float = 0.0) -> Array:
-    """Return the Koopman matrix K (D, D) of lifted pairs (M, D) → (M, D), Eqs. 9–12.
-
-    With ``ridge`` 0 it is the paper's K = A G†. It is computed as Y X† from the data itself, which is the
-    same matrix (A = YXᵀ/M, G = XXᵀ/M) without squaring the condition number. With ``ridge`` λ > 0 it is
-    K = I + (A − G)(G + λI)⁻¹, the least-squares solution drawn toward standing still rather than
-    toward the origin, so that regularisation shortens no position.
-    """
-    return koopman_rows(before, after, np.ones(len(before)), (ridge,))[0]
-
-
 def koopman_rows(before: Array, after: Array, weight: Array, ridges: tuple[float, ...]) -> list[Array]:
-    """Return the first R rows (R, D) of K for every ``ridge``, of weighted pairs (M, D) → the first R entries (M, R).
+    """Return the first R rows (R, D) of the Koopman matrix K for each ridge, Eqs. 9–12.
 
-    One step of the state needs its own rows only, and the sums over the pairs are the same for every ridge.
+    With a ridge of 0 it is the paper's K = A G†, computed as Y X†: the same matrix (A = YXᵀ/M, G = XXᵀ/M) without
+    squaring the condition number. With a ridge λ > 0 it is K = I + (A − G)(G + λI)⁻¹, which regularises toward the
+    identity: drawing K to zero would shrink positions. The sums over the pairs are shared by all ridges.
+
+    Args:
+        before: lifted states (M, D).
+        after: the first R entries (M, R) of their lifted successors; one-step prediction needs only the state's.
+        weight: of the pairs (M,).
+        ridges: λ of each.
     """
     size, rows = before.shape[1], after.shape[1]
     root = np.sqrt(weight)[:, None]
@@ -55,11 +52,10 @@ def koopman_rows(before: Array, after: Array, weight: Array, ridges: tuple[float
 
 
 def koopman_of_blocks(blocks: Iterable[tuple[Array, Array, Array]], ridge: float = 0.0) -> Array:
-    """Return K (D, D) of lifted pairs that come in blocks (M, D) → (M, D), each pair with its weight (M,).
+    """Return K (D, D) of lifted pairs in blocks (M, D) → (M, D) with weights (M,), in memory for one block.
 
-    It is that of :func:`koopman_matrix` but for rounding, in memory for one block. With ``ridge`` 0 what is kept of the
-    blocks seen is the triangular factor of all pairs, block after block (the tall and skinny QR of Demmel et al. 2012),
-    which has the condition number of the data and not its square; otherwise it is the sums A and G.
+    It equals :func:`koopman_rows` up to rounding. With ``ridge`` 0 only the triangular factor of the pairs is kept
+    (tall-skinny QR, Demmel et al. 2012), which does not square the condition number; otherwise the sums A and G.
 
     Raises:
         ValueError: there are no pairs.
@@ -87,9 +83,9 @@ def koopman_of_blocks(blocks: Iterable[tuple[Array, Array, Array]], ridge: float
 
 
 def within_radius(matrix: Array, radius: float) -> Array:
-    """Return K (D, D) with the eigenvalues beyond a radius drawn to it: the spectral constraint.
+    """Return K (D, D) with eigenvalues scaled to absolute values of at most ``radius``: the spectral constraint.
 
-    It keeps repeated linear steps from diverging; a radius below 1 lets them die out at the center.
+    With a radius of 1 repeated linear steps do not diverge, below 1 they converge to the center.
     """
     values, vectors = np.linalg.eig(matrix)
     size = np.abs(values)
@@ -128,18 +124,18 @@ class KoopmanModel:
         ridge: float = 0.0,
         weight: Array | None = None,
     ) -> "KoopmanModel":
-        """Return the model fitted to states (M, d) and their successors (M, d), which count ``weight`` (M,)."""
-        placed = observables.placed((before[:: 1 + len(before) // _AT_ONCE] - center) / scale)
+        """Return the model fitted to states (M, d) and their successors (M, d) with weights (M,)."""
+        fitted = observables.fitted_to((before[:: 1 + len(before) // _AT_ONCE] - center) / scale)
         weight = np.ones(len(before)) if weight is None else weight
 
         def lifted(rows: slice) -> tuple[Array, Array, Array]:
-            now, then = (placed.lift((states[rows] - center) / scale) for states in (before, after))
+            now, then = (fitted.lift((states[rows] - center) / scale) for states in (before, after))
             return now, then, weight[rows]
 
         if len(before) < _AT_ONCE:
-            return cls(placed, center, scale, koopman_rows(*lifted(slice(None)), (ridge,))[0])
+            return cls(fitted, center, scale, koopman_rows(*lifted(slice(None)), (ridge,))[0])
         blocks = (lifted(slice(first, first + _BLOCK)) for first in range(0, len(before), _BLOCK))
-        return cls(placed, center, scale, koopman_of_blocks(blocks, ridge))
+        return cls(fitted, center, scale, koopman_of_blocks(blocks, ridge))
 
     @classmethod
     def one_step(
@@ -152,10 +148,10 @@ class KoopmanModel:
         ridges: tuple[float, ...],
         weight: Array,
     ) -> "list[KoopmanModel]":
-        """Return for every ridge the model whose K holds the state's own rows (d, D) only: enough to predict."""
-        placed = observables.placed((before - center) / scale)
-        rows = koopman_rows(placed.lift((before - center) / scale), (after - center) / scale, weight, ridges)
-        return [cls(placed, center, scale, matrix) for matrix in rows]
+        """Return the model of each ridge, with the state's rows (d, D) of K only: enough to predict."""
+        fitted = observables.fitted_to((before - center) / scale)
+        rows = koopman_rows(fitted.lift((before - center) / scale), (after - center) / scale, weight, ridges)
+        return [cls(fitted, center, scale, matrix) for matrix in rows]
 
     def lift(self, states: Array) -> Array:
         """Return the lifted states (N, D) of states (N, d)."""
@@ -167,10 +163,10 @@ class KoopmanModel:
 
     def predict(self, states: Array) -> Array:
         """Return the predicted next states (N, d) of states (N, d)."""
-        # Only the state's own rows of K matter for one step.
+        # One step needs only the state's rows of K.
         rows = self.matrix[: len(self.center)]
         return np.asarray(self.center + self.scale * (self.lift(states) @ rows.T))
 
     def spectral_radius(self) -> float:
-        """Return the largest absolute eigenvalue of K: over 1, repeated linear steps diverge."""
+        """Return the largest absolute eigenvalue of K; above 1 repeated linear steps diverge."""
         return float(np.abs(np.linalg.eigvals(self.matrix)).max())

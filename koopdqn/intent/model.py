@@ -1,4 +1,4 @@
-"""The human intent model: from any pose, the pose a person would take next."""
+"""The human intent model: predicts the next pose a person would take from any pose."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -23,51 +23,40 @@ class IntentSettings(Settings, ABC):
 
     @abstractmethod
     def fit(self, trajectories: list[Array], task: Task) -> "IntentModel":
-        """Return the model fitted to pose trajectories (N, 7), already sampled at the agent's step and placed.
-
-        Where there is a choice of ridges it is that of the first.
-        """
+        """Return the model of the first ridge for trajectories (N, 7) in the start frame, at the agent's step."""
 
     def alternatives(self, trajectories: list[Array], task: Task) -> "dict[float, IntentModel]":
-        """Return the models of all ridges that may be chosen among, by ridge; they predict, their K may be partial.
-
-        The first is the one taken where nothing can choose.
-        """
+        """Return the models of all candidate ridges, by ridge; their K may hold only the rows needed to predict."""
         return {self.ridges[0]: self.fit(trajectories, task)}
 
     def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
-        """Return the frame in which trajectories (N, 7) are to be told before they are fitted."""
+        """Return the start frame in which trajectories (N, 7) are fitted."""
         return STILL
 
     @property
     @abstractmethod
     def ridges(self) -> tuple[float, ...]:
-        """The ridges λ that may be chosen among, at least one."""
+        """The candidate ridges λ, at least one."""
 
     def with_ridge(self, ridge: float) -> "IntentSettings":
-        """Return the settings with no choice but one ridge."""
+        """Return the settings with one ridge only."""
         return self
 
     @abstractmethod
     def restore(self, arrays: Mapping[str, np.ndarray]) -> "IntentModel":
-        """Return the model whose :meth:`IntentModel.arrays` these are, without what it was extended with."""
+        """Return the model with these :meth:`IntentModel.arrays`, without corrections."""
 
 
 class IntentModel(ABC):
-    """The prediction of a person's next pose.
+    """A model that predicts a person's next pose.
 
     Attributes:
         goal: the goal pose (7,).
-        start_frame: in which it knows poses; all but :meth:`intended` take them as placed there.
+        start_frame: in which all methods but :meth:`intended` take and return poses.
     """
 
     goal: Array
     start_frame: StartFrame = STILL
-
-    @classmethod
-    def fit(cls, trajectories: list[Array], task: Task, settings: IntentSettings) -> "IntentModel":
-        """Return the model that settings fit to pose trajectories (N, 7), already sampled at the agent's step."""
-        return settings.fit(trajectories, task)
 
     @abstractmethod
     def predict(self, poses: Array) -> Array:
@@ -75,40 +64,40 @@ class IntentModel(ABC):
 
     @property
     def fitted(self) -> "IntentModel":
-        """The model as it was fitted, without additional pairs."""
+        """The model as it was fitted, without corrections."""
         return self
 
-    def moved(self, poses: Array, predicted: Array) -> Array:
-        """Return what additional pairs make of the fitted model's predictions (N, 7) from poses (N, 7)."""
+    def correct(self, poses: Array, predicted: Array) -> Array:
+        """Return the fitted model's predictions (N, 7) at poses (N, 7), corrected by answers."""
         return predicted
 
     def intended(self, poses: Array, starts: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        return self.start_frame.unplaced(self.predict(self.start_frame.placed(poses, starts)), starts, poses)
+        return self.start_frame.from_frame(self.predict(self.start_frame.to_frame(poses, starts)), starts, poses)
 
     @property
     @abstractmethod
     def matrices(self) -> dict[str, KoopmanModel]:
-        """The Koopman models it consists of, by the names that reports give them: K, or K_p and K_o."""
+        """The Koopman models it consists of, by their names in reports: K, or K_p and K_o."""
 
     def within(self, frame: StartFrame) -> "IntentModel":
-        """Return the model, fitted to trajectories placed in a frame, with that frame."""
+        """Return the model with the frame in which it was fitted."""
         return self
 
     @abstractmethod
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything but the settings, as arrays."""
+        """Return the model as arrays, without its settings."""
 
-    def preferred(self, poses: Array, step: float) -> Array:
-        """Return the predictions (N, 7) rescaled to the agent's step [m], at most up to the goal.
+    def predict_step(self, poses: Array, step: float) -> Array:
+        """Return the fixed-step predictions (N, 7): one step [m] of the agent long, at most up to the goal.
 
         p + s·(p̂ − p)/‖p̂ − p‖: raw predictions shorten where demonstrations disagree, and then
-        standing still would be the right action. Orientation is predicted as it is.
+        standing still would be the right action. Orientation is that of the raw prediction.
         """
         return self.to_step(poses, self.predict(poses), step)
 
     def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
-        """Return predictions (N, 7) made from poses (N, 7) as motions of one step [m], at most up to the goal."""
+        """Return predictions (N, 7) from poses (N, 7) rescaled to one step [m], at most up to the goal."""
         position = poses[:, pose.POSITION]
         motion = predicted[:, pose.POSITION] - position
         length = pose.norm(motion, keepdims=True)
@@ -117,12 +106,12 @@ class IntentModel(ABC):
         return pose.make(position + distance * direction, predicted[:, pose.QUATERNION])
 
     def roll_out(self, starts: Array, steps: int, step: float | None = None) -> Array:
-        """Return poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), rescaled if ``step`` is given."""
+        """Return poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), of fixed ``step`` [m] if given."""
         poses = [starts]
         for done in range(steps):
-            poses.append(self.predict(poses[-1]) if step is None else self.preferred(poses[-1], step))
+            poses.append(self.predict(poses[-1]) if step is None else self.predict_step(poses[-1], step))
             if np.abs(poses[-1] - poses[-2]).max(initial=0.0) < _AT_REST:
-                # What rests now rests for good.
+                # A model without memory stays at rest.
                 poses += [poses[-1]] * (steps - done - 1)
                 break
         return np.array(poses)

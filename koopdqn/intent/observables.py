@@ -17,8 +17,7 @@ from koopdqn.settings import Floats, Interval, Settings, load_settings
 class Observables(Settings, ABC):
     """A lift g of states x (N, d) to z (N, D) whose first d entries are x itself.
 
-    Because the state is part of the lift, the inverse g⁻¹ reads the first d entries (§5.1). Subclass it
-    for new observables; the subclass's fields are its settings.
+    The inverse g⁻¹ reads those entries (§5.1). Subclass it for new observables; the fields are its settings.
     """
 
     def lift(self, states: Array) -> Array:
@@ -33,16 +32,16 @@ class Observables(Settings, ABC):
     def features(self, states: Array) -> Array:
         """Return the nonlinear part (N, D − d) of the lift of states (N, d)."""
 
-    def placed(self, states: Array) -> "Observables":
-        """Return the observables with whatever they take from the states (M, d) that they are fitted to."""
+    def fitted_to(self, states: Array) -> "Observables":
+        """Return the observables fitted to states (M, d), where they depend on data."""
         return self
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return what :meth:`placed` took from the states."""
+        """Return what :meth:`fitted_to` took from the states."""
         return {}
 
     def restored(self, arrays: Mapping[str, np.ndarray]) -> "Observables":
-        """Return the observables whose :meth:`arrays` these are."""
+        """Return the observables with these :meth:`arrays`."""
         return self
 
 
@@ -57,7 +56,7 @@ RotationObservables = Annotated[Observables, _to_observables("intent.rotation.ob
 
 
 class Affine(Observables):
-    """A constant beside the state, which makes an affine law linear."""
+    """A constant observable, with which affine dynamics are linear."""
 
     def features(self, states: Array) -> Array:
         """Return ones (N, 1)."""
@@ -74,7 +73,7 @@ class SecondOrder(Observables):
 
 
 class Polynomial(Observables):
-    """All monomials of the state from degree 2 to ``degree``; with the goal as origin they vanish there."""
+    """All monomials of the state from degree 2 to ``degree``; they vanish at the origin."""
 
     degree: int = Field(ge=1, le=12, description="highest degree")
 
@@ -91,10 +90,9 @@ class Polynomial(Observables):
 class RandomFourier(Observables):
     """Random Fourier features of Gaussian kernels that vanish at the origin: √(2/F)·(cos(wᵀx + b) − cos b).
 
-    With the goal as origin every observable is zero there, so that K maps the goal to itself: the
-    goal is a fixed point whatever the data (Rahimi & Recht 2007 give the features). Their kernels' widths
-    are spread evenly over orders of magnitude: narrow ones follow the path's turns, wide ones carry its
-    direction far from it.
+    With the goal as origin every observable is zero there, so that the goal is a fixed point of K whatever the data
+    (features of Rahimi & Recht 2007). Kernel widths are spaced logarithmically: narrow ones follow the path's turns,
+    wide ones extrapolate its direction.
     """
 
     count: int = Field(ge=1, le=5000, description="number of features F")
@@ -121,7 +119,7 @@ class RandomFourier(Observables):
     def features(self, states: Array) -> Array:
         """Return the features (N, F) of states (N, 3)."""
         frequencies, phases, at_goal = self._draw
-        # In place: of many states the arrays are large, and fresh memory costs more than the arithmetic.
+        # In place: with many states, allocating costs more than the arithmetic.
         waves: Array = states @ frequencies
         waves += phases
         np.cos(waves, out=waves)
@@ -131,18 +129,18 @@ class RandomFourier(Observables):
 
 
 class RadialBasis(Observables):
-    """Gaussian bumps around centers among the states, less their value at the origin: it stays a fixed point.
+    """Gaussian radial basis functions minus their value at the origin, which stays a fixed point.
 
-    The centers are chosen far from each other: each is the state farthest from those chosen before
-    (Gonzalez 1985), the first the one nearest to the origin.
+    The first center is the state nearest to the origin, each further one the state farthest from those before
+    (Gonzalez 1985).
     """
 
     count: int = Field(ge=1, le=5000, description="number of centers, or of the states if there are fewer")
-    length_scale: float = Field(gt=0, description="of the bumps, in units of the demonstrations' spread")
+    length_scale: float = Field(gt=0, description="of the functions, in units of the demonstrations' spread")
 
     _centers: Array | None = PrivateAttr(default=None)
 
-    def placed(self, states: Array) -> Observables:
+    def fitted_to(self, states: Array) -> Observables:
         """Return the observables with centers chosen among states (M, d)."""
         chosen = [int((states**2).sum(axis=1).argmin())]
         apart = ((states - states[chosen[0]]) ** 2).sum(axis=1)
@@ -156,7 +154,7 @@ class RadialBasis(Observables):
         return {} if self._centers is None else {"centers": self._centers}
 
     def restored(self, arrays: Mapping[str, np.ndarray]) -> Observables:
-        """Return the observables with given centers."""
+        """Return the observables with these centers."""
         copy = self.model_copy()
         copy._centers = np.array(arrays["centers"])
         return copy
@@ -165,10 +163,10 @@ class RadialBasis(Observables):
         """Return the features (N, F) of states (N, d).
 
         Raises:
-            ValueError: the centers have not been placed.
+            ValueError: there are no centers yet.
         """
         if self._centers is None:
-            raise ValueError("the centers must be placed among the states first, found none")
+            raise ValueError("the centers must be chosen among states first (fitted_to), found none")
         return self._bumps(states) - self._bumps(np.zeros((1, states.shape[1])))
 
     def _bumps(self, states: Array) -> Array:
@@ -179,11 +177,7 @@ class RadialBasis(Observables):
 
 
 class RotationEntries(Observables):
-    """For rotation vectors o from the goal: the entries of R(o) − I, smooth functions of the rotation itself.
-
-    They are the same for o and for the vector of the same rotation beyond half a turn, so that they know no wrap
-    and no sign; at the goal they vanish.
-    """
+    """The entries of R(o) − I for rotation vectors o from the goal: smooth, without wrap or sign, zero at the goal."""
 
     def features(self, states: Array) -> Array:
         """Return the features (N, 9) of rotation vectors (N, 3) [rad]."""
@@ -192,11 +186,10 @@ class RotationEntries(Observables):
 
 
 class RadialTurn(Observables):
-    """For rotation vectors o from the goal: the direction o/‖o‖ times hat functions of the angle ‖o‖.
+    """The direction o/‖o‖ times hat functions of the angle ‖o‖, for rotation vectors o from the goal.
 
-    A turn along the geodesic to the goal shortens o and keeps its direction, at a rate that may be any function
-    of the angle; with these observables such a law is exactly linear where the rate is linear between the
-    knots. They know no wrap: up to just short of half a turn o is continuous.
+    A turn along the geodesic to the goal shortens o and keeps its direction. With these observables such dynamics are
+    exactly linear if their rate is linear between the knots. There is no wrap below half a turn.
     """
 
     knots: Floats = Field(min_length=2, description="angles at which the hat functions peak, increasing [rad]")
@@ -208,9 +201,9 @@ class RadialTurn(Observables):
         return self
 
     def features(self, states: Array) -> Array:
-        """Return the features (N, 3 knots) of rotation vectors (N, 3) [rad]."""
+        """Return the features (N, 3 K) of rotation vectors (N, 3) [rad] for K knots."""
         angle = np.linalg.norm(states, axis=1)
-        # Below the first knot the direction fades, so that everything vanishes at the goal.
+        # Below the first knot the direction fades to zero at the goal.
         direction = states / np.maximum(angle, self.knots[0])[:, None]
         count = len(self.knots)
         hats = np.stack([np.interp(angle, self.knots, np.eye(count)[k]) for k in range(count)], axis=1)

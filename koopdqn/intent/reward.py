@@ -1,4 +1,4 @@
-"""The reward of Algorithm 1: from the intent model where it is trusted; elsewhere an oracle must be asked."""
+"""The reward of Algorithm 1: from the intent model where it is trusted, otherwise from the oracle."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -9,7 +9,7 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.intent.correction import corrected
 from koopdqn.intent.model import IntentModel
-from koopdqn.intent.trust import TrustDomain, Vouched
+from koopdqn.intent.trust import Trust, TrustDomain
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
 from koopdqn.tasks.actions import COUNT, excess, legal_actions, reached_poses
@@ -23,26 +23,26 @@ REMEMBERED: Final = 3
 CERTIFIED: Final = 4
 SOURCES: Final = ("rule", "trusted", "asked", "remembered", "certified")
 BY_MODEL: Final = (TRUSTED, CERTIFIED)
-"""The intent model's own: where demonstrations vouch for it, and where only an answer nearby does."""
+"""Sources of the intent model's rewards: trusted by demonstrations, or certified by a nearby answer."""
 
 NO_ANSWER: Final = -1
-"""Stands for the number of an answer where a reward rests on none."""
+"""The number of the answer of a reward without one."""
 
-# Below this a motion is none: 1e-9 m or rad is far under any tolerance and over rounding.
+# A motion below this [m or rad] counts as none: far under any tolerance and above rounding.
 _NO_MOTION = 1e-9
 
 Prediction = Literal["raw", "rescaled"]
-"""What of the intent model a reached pose is compared with: its prediction, or one as long as the agent's step."""
+"""What a reached pose is compared with: the intent model's prediction, or its fixed-step prediction."""
 
 
 class RewardSettings(Settings):
     """How a comparison becomes a reward."""
 
     shape: Literal["sign", "margin"] = Field(
-        description="plus or minus one (the paper), or how far inside or outside the tolerance, with the same sign"
+        description="plus or minus one (the paper), or the margin to the tolerance, with the same sign"
     )
     prediction: Prediction = Field(
-        description="compare with the raw prediction (the paper) or with one as long as the agent's step"
+        description="compare with the raw prediction (the paper) or with the fixed-step prediction"
     )
     size: float = Field(gt=0, le=1e3, description="largest absolute reward of a step")
     goal: float = Field(ge=0, le=1e3, description="added when a right action reaches the goal")
@@ -55,26 +55,26 @@ class ActionEvaluation:
     Attributes:
         poses: (N, 7) before the actions.
         starts: (N, 7) where their episodes began.
-        steps: (N,) steps that their episodes made before.
+        steps: (N,) steps made before in their episodes.
         reached: (N, 10, 7) poses the actions reach.
-        placed: (N, 7) the poses themselves, as the model's frame tells them.
-        placed_reached: (N, 10, 7) the same of those reached.
-        predicted: (N, 7) the pose the intent model prefers.
-        reward: (N, 10) the reward by rule or intent model; where ``known`` is false, the model's untrusted opinion.
-        known: (N, 10) whether the reward stands without asking.
+        local: (N, 7) the poses in the model's start frame.
+        local_reached: (N, 10, 7) the reached poses in that frame.
+        predicted: (N, 7) the intent model's prediction.
+        reward: (N, 10) by rule or intent model; where ``known`` is false, by the untrusted model.
+        known: (N, 10) whether the reward is known without asking.
         source: (N, 10) :data:`RULE`, :data:`TRUSTED` or :data:`CERTIFIED` where known, else :data:`ASKED`.
-        margin: (N, 10) how far inside its tolerance the comparison with the prediction is, trusted or not, as a
-            share of the tolerance; negative outside, −∞ where a rule forbids the action.
+        margin: (N, 10) 1 minus the distance from the prediction in tolerances, trusted or not: at least 0 within the
+            tolerance, −∞ where a rule forbids the action.
         at_goal: (N, 10) whether the reached pose counts as the goal.
-        answer: (N, 10) number of the answer that the reward rests on, or −1.
+        answer: (N, 10) number of the answer that the reward comes from, or −1.
     """
 
     poses: Array
     starts: Array
     steps: np.ndarray
     reached: Array
-    placed: Array
-    placed_reached: Array
+    local: Array
+    local_reached: Array
     predicted: Array
     reward: Array
     known: np.ndarray
@@ -84,7 +84,7 @@ class ActionEvaluation:
     answer: np.ndarray
 
     def set_label(self, row: int, action: int, reward: float, source: int, answer: int = NO_ANSWER) -> None:
-        """Give an action from a pose, by its row, a reward that is known from now on."""
+        """Set the known reward of an action from the pose in a row."""
         self.reward[row, action] = reward
         self.source[row, action] = source
         self.answer[row, action] = answer
@@ -107,7 +107,7 @@ class IntentReward:
     """
 
     def __init__(self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings) -> None:
-        """Make the reward function."""
+        """Combine the parts."""
         self.task = task
         self.model = model
         self.trust = trust
@@ -115,14 +115,14 @@ class IntentReward:
         self._illegal = ~legal_actions(task)
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
-        """Return the reward function with a model and a trust domain extended by answers.
+        """Return the reward function extended by answers, all in the model's start frame.
 
         Args:
-            yeses: poses (M, 7) around which the model is now trusted.
-            radii: (M,) [m].
-            before: poses (D, 7) at which the model did not expect the answer.
-            after: poses (D, 7) that the person wants reached from them.
-            reaches: (D,) [m] how far from them that moves the model.
+            yeses: (M, 7) poses around which the model is certified.
+            radii: (M,) [m] within which it is.
+            before: (D, 7) poses at which the model did not expect the answer.
+            after: (D, 7) poses that the person wants reached from them.
+            reaches: (D,) [m] within which these answers correct the model.
         """
         model = corrected(self.model, before, after, reaches)
         trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
@@ -133,28 +133,28 @@ class IntentReward:
         return self.settings.size * (1.0 if right else -1.0) + (self.settings.goal if right and at_goal else 0.0)
 
     def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
-        """Return what is known of all ten actions from poses (N, 7) after ``steps`` (N,) steps.
+        """Return the evaluation of all ten actions from poses (N, 7) after ``steps`` (N,) steps.
 
         Args:
             poses: where the episodes are.
             steps: how many steps each has made.
-            starts: (N, 7) where they began; None where poses are told as from the nominal start.
+            starts: (N, 7) where they began; None if poses are in the start frame already.
         """
         count = len(poses)
         reached = reached_poses(poses, self.task)
-        placed, placed_reached = poses, reached
+        local, local_reached = poses, reached
         if starts is not None:
-            placed = self.model.start_frame.placed(poses, starts)
-            placed_reached = self.model.start_frame.placed(reached, starts[:, None])
-        here = self.trust.vouched(placed, steps)
-        predicted = self._predicted(placed, here.shown)
+            local = self.model.start_frame.to_frame(poses, starts)
+            local_reached = self.model.start_frame.to_frame(reached, starts[:, None])
+        here = self.trust.assess(local, steps)
+        predicted = self._predicted(local, here.demonstrated)
         if starts is not None:
-            predicted = self.model.start_frame.unplaced(predicted, starts, poses)
+            predicted = self.model.start_frame.from_frame(predicted, starts, poses)
         if self.settings.prediction == "rescaled":
             predicted = self.model.to_step(poses, predicted, self.task.step_m)
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
-        shown, answered, doubt = self._vouched(here, placed_reached, steps)
+        demonstrated, certified, doubt = self._trust(here, local_reached, steps)
         certain = certain_signs(margin, doubt)
         unchanged = pose.position_distance(reached, poses[:, None]) < _NO_MOTION
         rows, actions = np.nonzero(unchanged)
@@ -163,15 +163,15 @@ class IntentReward:
         reward = self.settings.size * np.where(wrong, -1.0, reward)
         at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(count, COUNT)
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
-        source = np.select([wrong, shown & certain, answered & certain], [RULE, TRUSTED, CERTIFIED], ASKED)
+        source = np.select([wrong, demonstrated & certain, certified & certain], [RULE, TRUSTED, CERTIFIED], ASKED)
         margin = np.where(wrong, -np.inf, margin)
         return ActionEvaluation(
             poses,
             np.broadcast_to(self.task.nominal_start, poses.shape) if starts is None else starts,
             steps,
             reached,
-            placed,
-            placed_reached,
+            local,
+            local_reached,
             predicted,
             reward,
             source != ASKED,
@@ -181,32 +181,32 @@ class IntentReward:
             np.full_like(source, NO_ANSWER),
         )
 
-    def _predicted(self, poses: Array, shown: np.ndarray) -> Array:
-        """Return the predicted next poses (N, 7) of placed poses; where demonstrations vouch, answers move nothing."""
+    def _predicted(self, poses: Array, demonstrated: np.ndarray) -> Array:
+        """Return the predictions (N, 7) at local poses, corrected by answers where demonstrations do not decide."""
         fitted = self.model.fitted.predict(poses)
-        return np.where(shown[:, None], fitted, self.model.moved(poses, fitted))
+        return np.where(demonstrated[:, None], fitted, self.model.correct(poses, fitted))
 
-    def _vouched(self, here: Vouched, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
-        """Return for which actions (N, 10) demonstrations vouch, for which an answer must, and the doubt of each."""
-        after = self.trust.vouched(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
-        shown, answered = after.shown.reshape(-1, COUNT), after.answered.reshape(-1, COUNT)
+    def _trust(self, here: Trust, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
+        """Return which actions (N, 10) demonstrations trust, which only an answer certifies, and the doubt of each."""
+        after = self.trust.assess(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
+        demonstrated, certified = after.demonstrated.reshape(-1, COUNT), after.certified.reshape(-1, COUNT)
         doubt = after.doubt.reshape(-1, COUNT)
         if self.trust.settings.needs == "reached":
-            return shown, answered, doubt
-        both = (shown | answered) & (here.shown | here.answered)[:, None]
-        shown = shown & here.shown[:, None]
-        return shown, both & ~shown, np.maximum(doubt, here.doubt[:, None])
+            return demonstrated, certified, doubt
+        both = (demonstrated | certified) & (here.demonstrated | here.certified)[:, None]
+        demonstrated = demonstrated & here.demonstrated[:, None]
+        return demonstrated, both & ~demonstrated, np.maximum(doubt, here.doubt[:, None])
 
 
 def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:
-    """Return which comparisons (N, 10), given by their margins, are clear of the tolerance by a share of it.
+    """Return which comparisons (N, 10) lie outside the guard band around the tolerance.
 
-    A comparison that a small error of the model would turn over is no knowledge; but some action is always right
-    (``Task`` limits the step so), so the best one needs no certainty.
+    Within it a small error of the model would turn the sign. The best action is always certain, since some action is
+    always right (``Task`` limits the step so).
 
     Args:
         margin: (N, 10) as :attr:`ActionEvaluation.margin`.
-        doubt: the share, one or (N, 10).
+        doubt: width of the guard band as a share of the tolerance, one or (N, 10).
     """
     best = margin == margin.max(axis=1, keepdims=True)
     return np.asarray(best | (np.abs(margin) >= doubt))

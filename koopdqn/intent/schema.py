@@ -1,4 +1,4 @@
-"""The content of ``fit.json``: every key with its unit. Errors are of demonstrations left out of the fit."""
+"""The content of ``fit.json``: every key with its unit. Errors are of left-out demonstrations."""
 
 from typing import Literal
 
@@ -50,13 +50,13 @@ class ErrorPerStep(ReportModel):
     """One-step errors by the step's number."""
 
     mean: list[NonNegative] = Field(
-        description="(T − 1,) mean at every step over the demonstrations that have it; T samples has the longest"
+        description="(T − 1,) mean at every step over the demonstrations that have it; the longest has T samples"
     )
     max: list[NonNegative] = Field(description="(T − 1,) largest at every step")
 
 
 class RollOutError(ReportModel):
-    """Repeated prediction from the start of each demonstration, rescaled to the agent's step, by a model without it."""
+    """Roll-outs of fixed step from the start of each left-out demonstration."""
 
     final: list[NonNegative] = Field(description="(D,) distance to the goal after twice the demonstration's steps")
     hausdorff: list[NonNegative] = Field(description="(D,) Hausdorff distance from the demonstration")
@@ -65,74 +65,72 @@ class RollOutError(ReportModel):
 
 
 class RidgeError(ReportModel):
-    """How well a ridge serves demonstrations left out of the fit."""
+    """The error of a ridge on left-out demonstrations."""
 
     ridge: NonNegative = Field(description="λ of the regularised least squares")
     multi_step_error_m: NonNegative = Field(
-        description="root mean square distance after 25 steps from states of the demonstration left out [m]"
+        description="RMS distance of roll-outs of 25 steps from states of the left-out demonstration [m]"
     )
 
 
 class TrustCoverage(ReportModel):
-    """How much of a demonstration that it has not seen lies in the trust domain, and how wide the domain is."""
+    """Coverage and width of the trust domain."""
 
     sigmas: Positive | None = Field(description="k: half a box's width in standard deviations; null for a tube")
     matching: Literal["step", "any", "everywhere", "nowhere"] = Field(
         description="how states are matched with the demonstrations' steps"
     )
     nominal_coverage: Fraction | None = Field(
-        description="share of new demonstrations that the tube is made to hold from end to end, at most D/(D + 1);"
-        " null for a box, and for the fixed tube around a single demonstration"
+        description="share of new demonstrations that the tube is to contain from end to end, at most D/(D + 1); null"
+        " for a box, and for the fixed tube around a single demonstration"
     )
-    fresh: NonNegativeInt = Field(description="new demonstrations that the domain was measured on (`fit.fresh`)")
+    fresh: NonNegativeInt = Field(description="new demonstrations that coverage was measured on (`fit.fresh`)")
     measured_coverage: Fraction | None = Field(
-        description="share of those inside from end to end, by shape alone; null where there were none"
+        description="share of those contained from end to end by the shape alone; null without any"
     )
     radius_m: Positive | None = Field(description="median radius of the tube along its middle; null for a box [m]")
     largest_radius_m: Positive | None = Field(description="its largest radius [m]")
     radius_rad: Positive | None = Field(description="median radius of orientations; null for a box [rad]")
     spread_m: NonNegative | None = Field(
-        description="median along the path of the demonstrations' root mean square distance from their mean [m]"
+        description="median along the path of the demonstrations' RMS distance from their mean [m]"
     )
-    known_share: Fraction = Field(
-        description="share of the domain's places where nothing speaks against `least_right` of the rewards being right"
-    )
+    known_share: Fraction = Field(description="share of the domain's places that are trusted")
     least_right: Fraction = Field(description="stated share of right signs (`trust.least_right`)")
     doubt: NonNegative | None = Field(
-        description="median over places of the share of the tolerance by which a comparison must be clear of it to be"
-        " trusted; null where most places are not trusted at all"
+        description="median over places of the guard band around the tolerance, as a share of it; null if most places"
+        " are not trusted"
     )
     right_share: Fraction | None = Field(
-        description="share of the rewards so clear, at the states of a demonstration left out, whose sign by the model"
-        " of the others is that of going along the mean of all: mean over the places that are trusted; null for a"
-        " single demonstration"
+        description="share of rewards outside the guard band, at the states of a left-out demonstration, whose sign by"
+        " the model of the others is that of following the mean of all: mean over trusted places; null for a single"
+        " demonstration"
     )
     left_out_right_share: Fraction | None = Field(
-        description="share of all rewards with the least doubt there whose sign is right by what the one left out does"
-        " next; people who differ bring it down"
+        description="share of all rewards outside the narrowest guard band there whose sign is right by the left-out"
+        " demonstration's next pose; lower where people differ"
     )
     fresh_right_share: Fraction | None = Field(
-        description="share of the trusted rewards along the `fresh` demonstrations that the task's person agrees with;"
-        " null where there were none"
+        description="share of the trusted rewards along the `fresh` demonstrations that the demonstrator agrees with;"
+        " null without any"
     )
     held_out_state_coverage: Fraction | None = Field(
-        description="share of the states of a demonstration left out that are inside the domain drawn from the"
-        " others, mean over the demonstrations; null for a single one"
+        description="share of the states of a left-out demonstration that the domain of the others contains, mean over"
+        " the demonstrations; null for a single one"
     )
     held_out_path_coverage: Fraction | None = Field(
-        description="share of the demonstrations left out that are inside from end to end"
+        description="share of the left-out demonstrations contained from end to end"
     )
-    per_demonstration: list[Fraction] | None = Field(description="(D,) share of the states inside")
+    per_demonstration: list[Fraction] | None = Field(description="(D,) share of the states contained")
 
 
 class SixtySamples(ReportModel):
-    """The same one-step errors with every demonstration resampled to 60 poses, about the paper's number."""
+    """One-step errors with every demonstration resampled to 60 poses, about the paper's number."""
 
     rms_m: NonNegative = Field(description="root mean square error of position [m]")
     persistence_rms_m: NonNegative = Field(description="the same for predicting no motion [m]")
     rms_over_persistence: NonNegative = Field(description="rms_m over persistence_rms_m")
     max_m: NonNegative = Field(description="largest error of position [m]")
-    paper_max_m: NonNegative | None = Field(description="what the paper reports for it; null if it reports none [m]")
+    paper_max_m: NonNegative | None = Field(description="the paper's value; null if it gives none [m]")
     rms_rad: NonNegative | None = Field(
         description="root mean square error of orientation; null where orientation is held [rad]"
     )
@@ -142,7 +140,7 @@ class SixtySamples(ReportModel):
 
 
 class FitReport(ReportModel):
-    """The content of ``fit.json``. D demonstrations; the model of a fold has not seen the one it is measured on."""
+    """The content of ``fit.json``, of D demonstrations. A fold's model is fitted without the one it is measured on."""
 
     task: Name = Field(description="name of the task")
     intent: Name = Field(description="name of the intent's config option")
@@ -159,21 +157,19 @@ class FitReport(ReportModel):
     )
     one_step_error_per_step_rad: ErrorPerStep | None = Field(description="the same by the step's number [rad]")
     roll_out_error_m: RollOutError | None = Field(
-        description="repeated prediction; no distance is given as over 1000 m; null for a single demonstration [m]"
+        description="repeated prediction; distances are limited to 1000 m; null for a single demonstration [m]"
     )
-    converges: bool = Field(
-        description="whether the model, followed from everywhere in the demonstrated region, comes to the goal"
-    )
+    converges: bool = Field(description="whether roll-outs from all starts in the demonstrated region reach the goal")
     converging_share: Fraction = Field(
-        description="share of the starts in that region from which it does: the demonstrations' starts, 20 of the start"
-        " region, 20 states beside the demonstrations as far out as they are trusted"
+        description="share of those starts from which they do: the demonstrations' starts, 20 of the start region, 20"
+        " trusted states beside the demonstrations"
     )
     converging_share_wide: Fraction = Field(
-        description="the same of 20 starts three times as far from the middle of the start region"
+        description="the same for 20 starts three times as far from the middle of the start region"
     )
-    ridge: NonNegative = Field(description="λ that the model was fitted with")
+    ridge: NonNegative = Field(description="λ of the fitted model")
     regularisation: list[RidgeError] = Field(
-        description="every λ tried, with its error on demonstrations left out; empty for a single demonstration"
+        description="every candidate λ with its error on left-out demonstrations; empty for a single one"
     )
     spectral_radius: NonNegative = Field(
         description="largest absolute eigenvalue of K (of K_p where there are two), fitted to all demonstrations"
@@ -181,7 +177,7 @@ class FitReport(ReportModel):
     spectral_radius_rotation: NonNegative | None = Field(description="the same of K_o; null where there is none")
     lifted_dimension: Count = Field(description="rows of K, or of K_p")
     trust: TrustCoverage = Field(description="coverage of the trust domain")
-    unmatched_share: Fraction = Field(description="share of the demonstrated steps that no action can match")
+    unmatched_share: Fraction = Field(description="share of the demonstrated steps that no action matches")
     sixty_samples: SixtySamples | None = Field(
         description="errors at the paper's sampling; null for a single demonstration"
     )

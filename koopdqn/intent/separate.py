@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AliasChoices, BeforeValidator, Field, model_validator
 
 from koopdqn import pose
-from koopdqn.intent.augment import Pairs, Stabilisation, surrounded
+from koopdqn.intent.augment import Augmentation, Pairs, augmented
 from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs, within_radius
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Affine, AnyObservables
@@ -34,13 +34,14 @@ class SeparateIntentSettings(IntentSettings):
     observables: AnyObservables
     goal_centered: bool = Field(description="take the goal as origin and the demonstrations' spread as unit")
     ridge: Ridges = Field(
-        description="λ of the regularised least squares, or several to choose among by leaving one demonstration out,"
-        " of which the first serves a single demonstration; 0 is the paper's K = A G†"
+        description="λ of the regularised least squares; of several, leaving one demonstration out chooses one, and a"
+        " single demonstration takes the first; 0 is the paper's K = A G†"
     )
-    spectral_limit: float | None = Field(
-        gt=0, description="largest absolute eigenvalue that K may have; null for no such limit"
+    spectral_limit: float | None = Field(gt=0, description="largest absolute eigenvalue of K; null for no limit")
+    augmentation: Augmentation = Field(
+        # Artifacts of earlier runs call it by its old name.
+        validation_alias=AliasChoices("augmentation", "stabilisation")
     )
-    stabilisation: Stabilisation
     rotation: RotationSettings
 
     @model_validator(mode="after")
@@ -51,11 +52,11 @@ class SeparateIntentSettings(IntentSettings):
 
     @property
     def ridges(self) -> tuple[float, ...]:
-        """The ridges that may be chosen among."""
+        """The candidate ridges."""
         return self.ridge
 
     def with_ridge(self, ridge: float) -> IntentSettings:
-        """Return the settings with one ridge."""
+        """Return the settings with one ridge only."""
         return self.model_copy(update={"ridge": (ridge,)})
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
@@ -80,11 +81,11 @@ class SeparateIntentSettings(IntentSettings):
         }
 
     def _pairs(self, trajectories: list[Array], task: Task) -> tuple[Pairs, Array, float]:
-        """Return the pairs to fit to, and origin (3,) [m] and unit [m] of the coordinates."""
+        """Return the pairs to fit, and the origin (3,) [m] and unit [m] of the coordinates."""
         positions = [trajectory[:, pose.POSITION] for trajectory in trajectories]
         everything = np.concatenate(positions)
         spread = float(np.sqrt(((everything - everything.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        pairs = surrounded(positions, spread, self.stabilisation)
+        pairs = augmented(positions, spread, self.augmentation)
         if self.goal_centered:
             return pairs, task.goal[pose.POSITION].copy(), spread
         return pairs, np.zeros(3), 1.0
@@ -95,7 +96,7 @@ class SeparateIntentSettings(IntentSettings):
         return RotationModel.fit([trajectory[:, pose.QUATERNION] for trajectory in trajectories], task, self.rotation)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
-        """Return the model whose arrays these are."""
+        """Return the model with these arrays."""
         lift = self.observables.restored(_below(arrays, _LIFT))
         position = KoopmanModel(lift, arrays["center"], float(arrays["scale"]), arrays["matrix"])
         rotation = None
@@ -112,7 +113,7 @@ def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarra
 
 @dataclass(frozen=True)
 class SeparateIntent(IntentModel):
-    """A model of positions and one of orientations, each knowing nothing of the other.
+    """Independent models of positions and of orientations.
 
     Attributes:
         position: the Koopman model of positions, K_p.
@@ -138,7 +139,7 @@ class SeparateIntent(IntentModel):
         return {"K_p": self.position, "K_o": self.rotation.koopman}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything but the settings, as arrays."""
+        """Return the model as arrays, without its settings."""
         held = {
             "matrix": self.position.matrix,
             "center": self.position.center,
@@ -171,7 +172,7 @@ class JointIntentSettings(IntentSettings):
         return (self.ridge,)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
-        """Return the model whose arrays these are."""
+        """Return the model with these arrays."""
         koopman = KoopmanModel(self.observables, np.zeros(6), 1.0, arrays["matrix"])
         return JointIntent(koopman, arrays["frame"], bool(arrays["held"]), arrays["goal"])
 
@@ -183,7 +184,7 @@ class JointIntent(IntentModel):
     Attributes:
         koopman: the model of states (N, 6).
         frame: (2, 4) of the angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
-        held: whether orientation is held whatever the model says.
+        held: whether orientation is held in place of the prediction.
         goal: the goal pose (7,).
     """
 
@@ -204,7 +205,7 @@ class JointIntent(IntentModel):
         return {"K": self.koopman}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything but the settings, as arrays."""
+        """Return the model as arrays, without its settings."""
         return {
             "matrix": self.koopman.matrix,
             "frame": self.frame,
@@ -218,12 +219,12 @@ def _state(poses: Array, frame: Array) -> Array:
 
 
 class LineIntentSettings(IntentSettings):
-    """How a line is fitted to one demonstration."""
+    """The line fit of Fig. 5, through one demonstration."""
 
-    demonstration: int = Field(ge=0, description="which demonstration, counted from 0; the last if there are fewer")
+    demonstration: int = Field(ge=0, description="index of the demonstration, from 0; the last one if there are fewer")
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
-        """Return the model whose prediction goes one step along the line from the point of it nearest to the pose."""
+        """Return the model that predicts one step along the line from its point nearest to the pose."""
         chosen = trajectories[min(self.demonstration, len(trajectories) - 1)]
         rotation = None
         if task.orientation == "learned":
@@ -232,11 +233,11 @@ class LineIntentSettings(IntentSettings):
 
     @property
     def ridges(self) -> tuple[float, ...]:
-        """None: a line needs no ridge."""
+        """Zero: a line needs no ridge."""
         return (0.0,)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
-        """Return the model whose arrays these are."""
+        """Return the model with these arrays."""
         rotation = None
         if "rotation_matrix" in arrays:
             rotation = RotationModel(_model(arrays["rotation_matrix"]), arrays["rotation_frame"], "angles")
@@ -244,14 +245,14 @@ class LineIntentSettings(IntentSettings):
 
 
 def line_through(states: Array) -> tuple[Array, Array]:
-    """Return offset a (d,) and step b (d,) of the least-squares line a + b·t through states (N, d) at t = 0, 1, 2 …."""
+    """Return offset a (d,) and step b (d,) of the least-squares line a + b·t through states (N, d), t = 0, 1, 2 …."""
     steps = np.arange(len(states))
     step, offset = np.polynomial.polynomial.polyfit(steps, states, 1)[::-1]
     return offset, step
 
 
 def _line_model(states: Array) -> KoopmanModel:
-    # x' = a + b (bᵀ(x − a)/bᵀb + 1) is affine, so that it is a Koopman model with a constant observable.
+    # x' = a + b (bᵀ(x − a)/bᵀb + 1) is affine: a Koopman model with a constant observable.
     offset, step = line_through(states)
     length = float(step @ step)
     projector = np.outer(step, step) / length if length > 0 else np.zeros((len(step), len(step)))

@@ -1,4 +1,4 @@
-"""Intent files: a fitted intent model and its trust domain, saved and loaded."""
+"""Intent files: a fitted intent model and its trust domain."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +19,12 @@ _TRUST = "trust_"
 
 @dataclass(frozen=True)
 class StoredIntent:
-    """A fitted intent as a file holds it.
+    """The content of an intent file.
 
     Attributes:
         model: the intent model.
         trust: its trust domain.
-        settings: what the model was fitted with.
+        settings: how the model was fitted.
         demonstrations: SHA-256 of the demonstrations it was fitted to.
     """
 
@@ -34,14 +34,14 @@ class StoredIntent:
     demonstrations: str
 
     def digest(self) -> str:
-        """Return the SHA-256 of what decides the predictions."""
+        """Return the SHA-256 of the model's and the domain's arrays."""
         return arrays_digest(self._arrays())
 
     def _arrays(self) -> dict[str, Any]:
         return {**self.model.arrays(), **{_TRUST + name: values for name, values in self.trust.arrays().items()}}
 
     def write(self, path: Path, task: Task) -> None:
-        """Write the file, with the task and the settings that shaped it."""
+        """Write the file, with the task and all settings."""
         about = {
             "task": described(task),
             "intent": described(self.settings),
@@ -76,5 +76,5 @@ def _try_out(model: IntentModel, domain: TrustDomain, task: Task) -> None:
     predicted = model.intended(start, start)
     if predicted.shape != start.shape or not np.isfinite(predicted).all():
         raise ValueError(f"its prediction must be a pose of finite numbers, found {predicted.tolist()}")
-    domain.covers(start, np.zeros(1, dtype=int))
+    domain.contains(start, np.zeros(1, dtype=int))
     domain.depth(start)

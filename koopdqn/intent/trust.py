@@ -16,45 +16,53 @@ from koopdqn.tasks.task import angles_in
 
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 
-# Standard deviations that chance alone exceeds to one side in one of twenty cases.
+# Standard normal quantile of a one-sided test at 5 %.
 _CHANCE = 1.645
 
 
 class TrustSettings(Settings, ABC):
-    """How the trust domain is drawn around the demonstrations; a new kind is a subclass and a YAML file."""
+    """How the trust domain is fitted to the demonstrations; a new kind is a subclass and a YAML file."""
 
     least_right: float = Field(
         ge=0, le=1, description="share of rewards that must have the right sign where they are trusted"
     )
     doubts: Annotated[tuple[float, ...], Strict(False), Field(min_length=1)] = Field(
-        description="shares of the tolerance, ascending: the first one by which comparisons must be clear of it for"
-        " least_right of them to be right holds at a place; where the last is clearly not enough nothing is trusted"
+        description="guard bands around the tolerance, as ascending shares of it: a comparison within the band is not"
+        " trusted. A place takes the first band with which least_right of the signs are right; where even the last is"
+        " clearly not enough nothing is trusted"
     )
     needs: Literal["reached", "both"] = Field(
-        description="which state must be trusted: the reached one (the paper) or also the one before"
+        description="which states must be trusted: the reached one (the paper) or also the one before"
     )
 
     @abstractmethod
     def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> "TrustDomain":
-        """Return the domain of pose trajectories (N, 7); see :meth:`TrustDomain.fit`."""
+        """Return the domain of pose trajectories (N, 7).
+
+        Args:
+            trajectories: demonstrated poses at the agent's step.
+            signs: (N − 1, L, 2) for each, at every state but the last and for each of L doubts: how many rewards have
+                the right sign in leave-one-out, of how many (:func:`koopdqn.intent.validation.jackknife_signs`).
+            frame: (2, 4) of angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
+        """
 
     def nominal(self, count: int) -> float | None:
-        """Return the share of new demonstrations that a domain of ``count`` is made to hold; None for no promise."""
+        """Return the nominal coverage of new demonstrations with ``count`` demonstrations; None if there is none."""
         return None
 
     @abstractmethod
     def restore(self, arrays: Mapping[str, np.ndarray]) -> "TrustDomain":
-        """Return the domain whose :meth:`TrustDomain.arrays` these are, without what it was extended with."""
+        """Return the domain with these :meth:`TrustDomain.arrays`, without its balls."""
 
 
 @dataclass(frozen=True)
 class Balls:
-    """Surroundings of single poses that are trusted on top of what the demonstrations vouch for.
+    """Balls around single poses that are trusted in addition to the demonstrations' domain.
 
     Attributes:
-        poses: (M, 7) their middles.
+        poses: (M, 7) centers.
         radii: (M,) [m].
-        turn: how far an orientation may be from a middle's [rad].
+        turn: largest rotation distance from a center [rad].
     """
 
     poses: Array
@@ -62,7 +70,7 @@ class Balls:
     turn: float
 
     def distance(self, poses: Array) -> Array:
-        """Return how far poses (N, 7) are from the middle of the ball that is nearest, in its radii, (N,)."""
+        """Return the distances (N,) of poses (N, 7) from the nearest ball's center, in its radii."""
         if not len(self.radii):
             return np.full(len(poses), np.inf)
         squared = squared_distances(poses[:, pose.POSITION], self.poses[:, pose.POSITION])
@@ -70,8 +78,8 @@ class Balls:
         far = np.maximum(np.sqrt(squared) / self.radii, 2.0 * np.arccos(cosine) / self.turn)
         return np.asarray(far.min(axis=1))
 
-    def holds(self, poses: Array) -> np.ndarray:
-        """Return whether each pose (N, 7) is in a ball, as booleans (N,)."""
+    def contains(self, poses: Array) -> np.ndarray:
+        """Return whether a ball contains each pose (N, 7), as booleans (N,)."""
         if not len(self.radii):
             return np.zeros(len(poses), dtype=bool)
         near = squared_distances(poses[:, pose.POSITION], self.poses[:, pose.POSITION]) <= self.radii**2
@@ -80,31 +88,29 @@ class Balls:
 
 
 @dataclass(frozen=True)
-class Vouched:
-    """What vouches for N poses.
+class Trust:
+    """Whether N poses are trusted, and why.
 
     Attributes:
-        shown: (N,) whether demonstrations do.
-        answered: (N,) whether only an answer nearby does.
-        doubt: (N,) by which share of the tolerance comparisons must be clear of it to be relied upon.
+        demonstrated: (N,) whether by the demonstrations.
+        certified: (N,) whether by a nearby answer alone.
+        doubt: (N,) guard band: the share of the tolerance within which comparisons are not trusted.
     """
 
-    shown: np.ndarray
-    answered: np.ndarray
+    demonstrated: np.ndarray
+    certified: np.ndarray
     doubt: Array
 
 
 @dataclass(frozen=True)
 class TrustDomain(ABC):
-    """Where the model is relied upon.
+    """Where the intent model is trusted.
 
     Attributes:
-        settings: what it was drawn with.
-        right: (S,) the share of the rewards that count whose sign is right with a demonstration left out, at the S
-            places that the domain consists of.
-        doubt: (S,) by which share of the tolerance a comparison must be clear of it to count there; infinite where
-            nothing is trusted.
-        balls: what it was extended with.
+        settings: how it was fitted.
+        right: (S,) share of counted rewards with the right sign in leave-one-out, at each of the domain's S places.
+        doubt: (S,) guard band there, as a share of the tolerance; infinite where nothing is trusted.
+        balls: what answers added.
     """
 
     settings: TrustSettings
@@ -113,27 +119,13 @@ class TrustDomain(ABC):
     balls: Balls
 
     @classmethod
-    def fit(cls, trajectories: list[Array], signs: list[Array], frame: Array, settings: TrustSettings) -> "TrustDomain":
-        """Return the domain of pose trajectories (N, 7).
-
-        Args:
-            trajectories: demonstrated poses at the agent's step.
-            signs: (N − 1, L, 2) for each state but the last of each and each of L doubts: how many rewards have the
-                right sign by a model that has not seen the demonstration, of how many that count
-                (:mod:`koopdqn.intent.signs`).
-            frame: (2, 4) of angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
-            settings: how it is drawn.
-        """
-        return settings.fit(trajectories, signs, frame)
-
-    @classmethod
     def restore(cls, arrays: Mapping[str, np.ndarray], settings: TrustSettings) -> "TrustDomain":
-        """Return the domain whose :meth:`arrays` these are."""
+        """Return the domain with these :meth:`arrays`."""
         domain = settings.restore(arrays)
         return domain.extended(arrays["ball_poses"], arrays["ball_radii"]) if "ball_poses" in arrays else domain
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything but the settings, as arrays."""
+        """Return the domain as arrays, without its settings."""
         held = {"right": self.right, "doubt": self.doubt, **self.shape()}
         if len(self.balls.radii):
             held |= {"ball_poses": self.balls.poses, "ball_radii": self.balls.radii}
@@ -141,57 +133,57 @@ class TrustDomain(ABC):
 
     @abstractmethod
     def shape(self) -> dict[str, np.ndarray]:
-        """Return the arrays that hold the domain's shape."""
+        """Return the arrays of the domain's shape."""
 
     @abstractmethod
-    def covers(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return of poses (N, 7) after ``steps`` (N,) whether they lie within the shape, and the doubt there.
+    def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether the shape contains poses (N, 7) after ``steps`` (N,), and the doubt (N,) there.
 
-        Booleans (N,) and shares of the tolerance (N,), which mean nothing outside the shape.
+        The doubt of a pose outside the shape has no meaning.
         """
 
     @abstractmethod
     def depth(self, poses: Array) -> Array:
-        """Return how far poses (N, 7) are from the middle of the demonstrations, in its half widths, (N,)."""
+        """Return the distances (N,) of poses (N, 7) from the shape's middle, in its half widths."""
 
     @abstractmethod
     def gap(self, poses: Array) -> Array:
-        """Return how far the positions of poses (N, 7) are from what demonstrations vouch for, (N,) [m]; 0 within."""
+        """Return the distances (N,) [m] of the positions of poses (N, 7) from the shape; 0 within it."""
 
     @abstractmethod
     def reason(self, point: Array, step: int) -> str:
-        """Return in a few words why a pose (7,) that is not trusted after ``step`` steps is not."""
+        """Return in a few words why an untrusted pose (7,) after ``step`` steps is not trusted."""
 
-    def vouched(self, poses: Array, steps: np.ndarray) -> "Vouched":
-        """Return what vouches for poses (N, 7) reached after ``steps`` (N,) steps.
+    def assess(self, poses: Array, steps: np.ndarray) -> Trust:
+        """Return whether poses (N, 7) reached after ``steps`` (N,) steps are trusted, and why.
 
-        What demonstrations say goes before answers: where they went and the model errs, no ball is relied upon.
-        The step count matters to a domain that matches states by step only.
+        Demonstrations go before answers: within the shape, where the model errs, no ball is trusted. The step count
+        matters only to a domain that matches states by step.
         """
-        within, doubt = self.covers(poses, steps)
-        doubt = np.where(within, doubt, self._widest)
-        return Vouched(within & np.isfinite(doubt), ~within & self.balls.holds(poses), doubt)
+        demonstrated, doubt = self.shape_contains(poses, steps)
+        doubt = np.where(demonstrated, doubt, self._largest_doubt)
+        return Trust(demonstrated & np.isfinite(doubt), ~demonstrated & self.balls.contains(poses), doubt)
 
     @cached_property
-    def _widest(self) -> float:
-        """The largest doubt of all places, for what lies beside them."""
+    def _largest_doubt(self) -> float:
+        """The largest finite doubt of all places, used outside the shape."""
         return float(self.doubt[self.known].max(initial=self.settings.doubts[0]))
 
-    def inside(self, poses: Array, steps: np.ndarray) -> np.ndarray:
+    def contains(self, poses: Array, steps: np.ndarray) -> np.ndarray:
         """Return ``indomain`` of poses (N, 7) reached after ``steps`` (N,) steps, as booleans (N,)."""
-        vouched = self.vouched(poses, steps)
-        return np.asarray(vouched.shown | vouched.answered)
+        trust = self.assess(poses, steps)
+        return np.asarray(trust.demonstrated | trust.certified)
 
     def distance(self, poses: Array) -> Array:
-        """Return how far poses (N, 7) are from the domain's middle, in its radii, (N,): at most 1 within.
+        """Return the distances (N,) of poses (N, 7) from the domain's middle, in its radii: at most 1 within.
 
-        Position and orientation are each measured in their own unit, and the larger counts. It is the shape alone:
-        where the model is known to err, a distance within 1 is not trusted either.
+        The larger of position and orientation counts, each in its own unit. The distance is that of the shape alone: a
+        place where the model errs is not trusted even within 1.
         """
         return np.minimum(self.depth(poses), self.balls.distance(poses))
 
     def extended(self, poses: Array, radii: Array) -> Self:
-        """Return the domain with balls around poses (M, 7) of radii (M,) [m], within which any state is trusted."""
+        """Return the domain with further trusted balls of radii (M,) [m] around poses (M, 7)."""
         balls = Balls(
             np.concatenate([self.balls.poses, poses]), np.concatenate([self.balls.radii, radii]), self.balls.turn
         )
@@ -204,29 +196,29 @@ class TrustDomain(ABC):
 
     def outside(self, point: Array, step: int) -> str:
         """Return in a few words why a pose (7,) is not trusted, or an empty string if it is."""
-        return "" if self.inside(point[None], np.array([step]))[0] else self.reason(point, step)
+        return "" if self.contains(point[None], np.array([step]))[0] else self.reason(point, step)
 
     def doubt_of(self, place: int) -> str:
-        """Return what is said of a state that is not trusted for how often rewards are right at a place."""
+        """Return in a few words how few rewards are right at an untrusted place."""
         return (
             f"with a demonstration left out only {self.right[place]:.0%} of the rewards here are right"
             f" (least {self.settings.least_right:.0%})"
         )
 
 
-def calibrated(
+def calibrate(
     places: list[np.ndarray], signs: list[Array], count: int, window: int, settings: TrustSettings
 ) -> tuple[Array, Array]:
     """Return the share of right signs and the doubt, (S,) each, at S places.
 
-    A place is not trusted, of infinite doubt, where even the largest doubt leaves a share that is below the stated one
-    by more than chance makes of so few states (score test of a share, one-sided, at 5 %).
+    The doubt is infinite, and the place not trusted, where the share with the largest doubt is significantly below the
+    stated one (one-sided score test of a proportion at 5 %).
 
     Args:
-        places: (N − 1,) the place of each state of each demonstration.
-        signs: (N − 1, L, 2) of each, as :meth:`TrustDomain.fit` takes them.
+        places: (N − 1,) for each demonstration, the place of each of its states.
+        signs: (N − 1, L, 2) for each, as :meth:`TrustSettings.fit` takes them.
         count: number S of places.
-        window: neighbours to either side that count too; a place without any state is like those next to it.
+        window: neighbours to either side that count too; a place without states takes the values of the nearest.
         settings: the stated share, and the L doubts.
     """
     totals, states = np.zeros((count, len(settings.doubts), 2)), np.zeros(count)
@@ -247,13 +239,13 @@ def calibrated(
 
 
 def no_balls(turn: float) -> Balls:
-    """Return no balls; those added later hold orientations within ``turn`` [rad]."""
+    """Return no balls; those added later contain orientations within ``turn`` [rad]."""
     return Balls(np.zeros((0, 7)), np.zeros(0), turn)
 
 
 def squared_distances(positions: Array, others: Array) -> Array:
     """Return the squared distances (N, M) [m²] of positions (N, 3) and others (M, 3) [m]."""
-    # One middle for both keeps the cancellation of the three terms harmless.
+    # Centering both keeps the cancellation of the three terms harmless.
     middle = others.mean(axis=0)
     a, b = positions - middle, others - middle
     return np.asarray(np.maximum((a**2).sum(axis=1)[:, None] - 2.0 * a @ b.T + (b**2).sum(axis=1), 0.0))

@@ -1,4 +1,4 @@
-"""The tube: a trust domain whose radius is calibrated to hold whole demonstrations left out of it."""
+"""The tube: a trust domain whose radius is calibrated by leaving one demonstration out."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,19 +8,19 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrated, no_balls, squared_distances
+from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrate, no_balls, squared_distances
 from koopdqn.paths import arc_lengths, mean_poses
 from koopdqn.pose import Array
 
-# Demonstrations needed to say how their spread changes along the path, one being left out.
+# Demonstrations needed to estimate the spread along the path with one left out.
 _LEAST_FOR_SPREAD = 3
 
 
 class TubeSettings(TrustSettings):
-    """How the tube is drawn."""
+    """How the tube is fitted."""
 
     coverage: float = Field(
-        gt=0, lt=1, description="share of new demonstrations to hold from end to end; n demonstrations allow n/(n+1)"
+        gt=0, lt=1, description="share of new demonstrations to contain from end to end; n of them allow n/(n+1)"
     )
     spacing_m: float = Field(gt=0, description="between neighbouring places on the tube's middle [m]")
     smoothing_m: float = Field(
@@ -32,19 +32,19 @@ class TubeSettings(TrustSettings):
     fixed_radius_m: float = Field(gt=0, description="radius around a single demonstration [m]")
     fixed_radius_rad: float = Field(gt=0, description="the same of its orientation [rad]")
     answer_radius_rad: float = Field(
-        gt=0, le=3.2, description="how far an orientation may be from that of an answer that extended the domain [rad]"
+        gt=0, le=3.2, description="rotation distance from an answer's pose within which it certifies [rad]"
     )
 
     def rank(self, count: int) -> int:
-        """Return which of ``count`` ordered leave-one-out scores is the radius: the k-th covers k/(count + 1)."""
+        """Return the rank of the leave-one-out score taken as radius: the k-th of n gives coverage k/(n + 1)."""
         return min(count, int(np.ceil(self.coverage * (count + 1) - 1e-9)))
 
     def fit(self, trajectories: list[Array], signs: list[Array], frame: Array) -> TrustDomain:
-        """Return the tube of pose trajectories (N, 7) with the right signs (N − 1, L, 2) of each.
+        """Return the tube of pose trajectories (N, 7) with right signs (N − 1, L, 2) each.
 
-        A jackknife: a demonstration's score is the largest distance of its states from the tube of the others, in the
-        others' spread; the radius is the score of the given rank times the spread of all. For few demonstrations its
-        quantile promises nothing (Barber et al. 2021): ``fit.fresh`` measures the coverage.
+        A jackknife: a demonstration's score is the largest distance of its states from the mean of the others, in
+        spreads. The radius is the score of the given rank times the spread of all. With few demonstrations the coverage
+        is not guaranteed (Barber et al. 2021); ``fit.fresh`` measures it.
         """
         middle = Middle.of(trajectories, self)
         if len(trajectories) == 1:
@@ -57,27 +57,27 @@ class TubeSettings(TrustSettings):
             radius = float(np.sort(scores)[self.rank(len(scores)) - 1]) * middle.spread
         places = [middle.nearest(rows[:-1]) for rows in trajectories]
         window = round(self.smoothing_m / self.spacing_m)
-        sure = calibrated(places, signs, len(middle.poses), window, self)
+        sure = calibrate(places, signs, len(middle.poses), window, self)
         return Tube(self, *sure, no_balls(self.answer_radius_rad), middle.poses, radius, middle.gap)
 
     def nominal(self, count: int) -> float | None:
-        """Return the share of new demonstrations that a tube around ``count`` holds; None for a single one."""
+        """Return the nominal coverage with ``count`` demonstrations; None for a single one."""
         return None if count == 1 else self.rank(count) / (count + 1)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
-        """Return the domain whose arrays these are."""
+        """Return the domain with these arrays."""
         balls = no_balls(self.answer_radius_rad)
         return Tube(self, arrays["right"], arrays["doubt"], balls, arrays["middle"], arrays["radius"], arrays["spread"])
 
 
 @dataclass(frozen=True)
 class Middle:
-    """The mean of demonstrations, and how far they are from it.
+    """The mean of demonstrations and their spread around it.
 
     Attributes:
         poses: (S, 7) along the mean.
-        gap: (S, 2) [m, rad] root mean square distance of positions and orientations from it.
-        spread: (S, 2) the same averaged along the path, with its floor: the unit of scores.
+        gap: (S, 2) [m, rad] RMS distance of the demonstrations' positions and orientations from it.
+        spread: (S, 2) [m, rad] the same averaged along the path, not below its floor: the unit of scores.
     """
 
     poses: Array
@@ -91,8 +91,7 @@ class Middle:
         Args:
             trajectories: demonstrated poses.
             settings: spacing, smoothing and floors.
-            known: how many demonstrations there are, those left out included: of fewer than three the spread is
-                the same everywhere, since the one that is left says nothing of it.
+            known: number of demonstrations, those left out included. With fewer than three the spread is the floor.
         """
         length = float(np.mean([arc_lengths(rows[:, pose.POSITION])[-1] for rows in trajectories]))
         count = max(2, int(np.ceil(length / settings.spacing_m)) + 1)
@@ -106,7 +105,7 @@ class Middle:
         return cls(poses, np.sqrt(variance), np.sqrt(_moving_mean(variance, window) + floor**2))
 
     def distance(self, poses: Array) -> Array:
-        """Return the distances (N,) of poses (N, 7) in spreads: at the best place, the larger of its two."""
+        """Return the distances (N,) of poses (N, 7) from the nearest place, in spreads."""
         return np.asarray(scaled_distances(poses, self.poses, self.spread).min(axis=1))
 
     def nearest(self, poses: Array) -> np.ndarray:
@@ -117,15 +116,15 @@ class Middle:
 
 @dataclass(frozen=True)
 class Tube(TrustDomain):
-    """Balls along the demonstrations' mean, as wide as calibrated, less those where the model errs.
+    """Balls of calibrated radius along the demonstrations' mean, except at places where the model errs.
 
-    A state is trusted if, at some place, position and orientation are both within their radii and rewards are right
-    often enough at the place nearest to it.
+    A state is trusted if position and orientation are both within the radii of some place, and if enough rewards are
+    right at the place nearest to it.
 
     Attributes:
         middle: (S, 7) poses along the mean.
         radius: (S, 2) [m, rad] of positions and of orientations.
-        spread: (S, 2) [m, rad] root mean square distance of the demonstrations from the mean.
+        spread: (S, 2) [m, rad] RMS distance of the demonstrations from the mean.
     """
 
     settings: TubeSettings
@@ -137,8 +136,8 @@ class Tube(TrustDomain):
         """Return middle, radius and spread."""
         return {"middle": self.middle, "radius": self.radius, "spread": self.spread}
 
-    def covers(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return whether poses (N, 7) are in the tube, and the nearest place's doubt; steps do not matter."""
+    def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether the tube contains poses (N, 7), and the nearest place's doubt; steps do not matter."""
         squared = squared_distances(poses[:, pose.POSITION], self.middle[:, pose.POSITION])
         cosine = np.abs(poses[:, pose.QUATERNION] @ self.middle[:, pose.QUATERNION].T)
         limit, least = self._limits_squared
@@ -151,20 +150,20 @@ class Tube(TrustDomain):
         return self.radius[:, 0] ** 2, np.cos(half)
 
     def depth(self, poses: Array) -> Array:
-        """Return how far poses (N, 7) are from the middle in radii, (N,)."""
+        """Return the distances (N,) of poses (N, 7) from the middle, in radii."""
         return np.asarray(scaled_distances(poses, self.middle, self.radius).min(axis=1))
 
     def gap(self, poses: Array) -> Array:
-        """Return how far the positions of poses (N, 7) are outside the tube, (N,) [m]."""
+        """Return the distances (N,) [m] of the positions of poses (N, 7) from the tube."""
         squared = squared_distances(poses[:, pose.POSITION], self.middle[:, pose.POSITION])
         return np.asarray(np.maximum(np.sqrt(squared) - self.radius[:, 0], 0.0).min(axis=1))
 
     def reason(self, point: Array, step: int) -> str:
-        """Return how far a pose (7,) is from the tube, or how seldom rewards are right there."""
+        """Return how far a pose (7,) is from the tube, or how few rewards are right there."""
         far = scaled_distances(point[None], self.middle, self.radius)[0]
         place = int(far.argmin())
         if far[place] > 1.0:
-            # From far off the widest place is least far in its radii, yet it is not the one that lies nearest.
+            # Measured in radii the widest place may be nearest; people expect the one nearest in metres.
             outside = pose.position_distance(point, self.middle) - self.radius[:, 0]
             if (outside > 0.0).all():
                 place = int(outside.argmin())
@@ -179,9 +178,9 @@ class Tube(TrustDomain):
 
 
 def scaled_distances(poses: Array, places: Array, unit: Array) -> Array:
-    """Return the distances (N, S) of poses (N, 7) from places (S, 7): the larger of position and orientation.
+    """Return the distances (N, S) of poses (N, 7) from places (S, 7), in units (S, 2) [m, rad] of each place.
 
-    Each is in its own unit, (S, 2) [m, rad] of the place.
+    The larger of position and orientation counts.
     """
     moved = np.sqrt(squared_distances(poses[:, pose.POSITION], places[:, pose.POSITION])) / unit[:, 0]
     cosine = np.clip(np.abs(poses[:, pose.QUATERNION] @ places[:, pose.QUATERNION].T), 0.0, 1.0)
@@ -191,8 +190,8 @@ def scaled_distances(poses: Array, places: Array, unit: Array) -> Array:
 def _gaps(poses: Array, rows: Array) -> Array:
     """Return the distances (S, 2) [m, rad] between a mean (S, 7) and a demonstration (N, 7), at every place.
 
-    The larger of two: from the place to the demonstration, and from those of its states that are nearest to the
-    place; so that neither a demonstration that starts before the mean nor one that leaves it goes unseen.
+    The larger of two: from the place to the demonstration, and to the place from the states nearest to it. So a
+    demonstration that starts before the mean, or leaves it, is noticed too.
     """
     squared = squared_distances(poses[:, pose.POSITION], rows[:, pose.POSITION])
     there, here = squared.argmin(axis=1), squared.argmin(axis=0)

@@ -1,31 +1,38 @@
-"""Cross-validation: each demonstration against the intent of the others, the ridge chosen so; and convergence."""
+"""Cross-validation: each demonstration against the model of the others; signs of rewards; convergence to the goal."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.reward import Prediction, certain_signs
 from koopdqn.intent.trust import TrustDomain
+from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
+from koopdqn.tasks.actions import excess, legal_actions, reached_poses, within_tolerance
+from koopdqn.tasks.person import Expert, ReferencePath
+from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
 
-# Of the multi-step error: so many steps ahead, from every so-many-th state. Errors of a step that cancel or add up
+# The multi-step error looks so many steps ahead, from every so-many-th state. Errors of a step that cancel or add up
 # show after a few centimetres.
 _AHEAD = 25
 _EVERY = 8
+# How far ahead, in steps, the expert of the mean demonstration aims.
+_AIM_STEPS = 5.0
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A demonstration held against the model of the others.
+    """A demonstration left out, and the model of the others.
 
     Attributes:
         held_out: its poses (N, 7).
         model: fitted to the others.
         error: (N − 1, 6) one-step errors of the raw prediction: x, y, z [m] and the rotation vector [rad].
-        rescaled: (N − 1, 6) the same of the prediction rescaled to the agent's step.
+        rescaled: (N − 1, 6) the same of the fixed-step prediction.
     """
 
     held_out: Array
@@ -36,12 +43,12 @@ class Fold:
 
 @dataclass(frozen=True)
 class Validation:
-    """What leaving one demonstration out tells.
+    """The result of leaving one demonstration out at a time.
 
     Attributes:
         folds: one for each demonstration; none for a single one.
-        ridge: the chosen one.
-        multi_step: root mean square multi-step error [m] of each ridge; empty for a single demonstration.
+        ridge: the ridge of the least multi-step error.
+        multi_step: RMS multi-step error [m] of each ridge; empty for a single demonstration.
     """
 
     folds: tuple[Fold, ...]
@@ -57,8 +64,8 @@ def cross_validate(
     Args:
         trajectories: demonstrated poses at the agent's step.
         task: gives step and goal.
-        intent: how models are fitted, and the ridges to choose among.
-        advance: told the number of folds done.
+        intent: how models are fitted, and the candidate ridges.
+        advance: called with the number of folds done.
     """
     if len(trajectories) == 1:
         return Validation((), intent.ridges[0], {})
@@ -77,23 +84,16 @@ def cross_validate(
 
 def _fold(held_out: Array, model: IntentModel, task: Task) -> Fold:
     before, after = held_out[:-1], held_out[1:]
-    rescaled = differences(model.preferred(before, task.step_m), after)
-    return Fold(held_out, model, differences(model.predict(before), after), rescaled)
+    rescaled = pose.difference(model.predict_step(before, task.step_m), after)
+    return Fold(held_out, model, pose.difference(model.predict(before), after), rescaled)
 
 
 def _multi_step_error(model: IntentModel, held_out: Array, task: Task) -> Array:
-    """Return squared distances [m²] between a demonstration and the model followed from its states for some steps."""
+    """Return squared distances [m²] between a demonstration and the model's roll-outs from its states."""
     ahead = min(_AHEAD, len(held_out) - 1)
     begin = np.arange(0, len(held_out) - ahead, _EVERY)
     reached = model.roll_out(held_out[begin], ahead, task.step_m)[-1]
     return np.asarray(pose.position_distance(reached, held_out[begin + ahead]) ** 2)
-
-
-def differences(predicted: Array, true: Array) -> Array:
-    """Return x, y, z [m] and the rotation vector [rad] (N, 6) from true poses (N, 7) to predicted ones."""
-    turn = pose.multiply(pose.conjugate(true[:, pose.QUATERNION]), predicted[:, pose.QUATERNION])
-    position = predicted[:, pose.POSITION] - true[:, pose.POSITION]
-    return np.concatenate([position, pose.to_rotation_vector(turn)], axis=1)
 
 
 def sizes_of(errors: Array) -> Array:
@@ -101,24 +101,94 @@ def sizes_of(errors: Array) -> Array:
     return np.stack([np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)], axis=1)
 
 
+def mean_expert(trajectories: Sequence[Array], task: Task) -> Expert:
+    """Return the expert that goes along the mean of pose trajectories (N, 7) in the start frame."""
+    turn = IN_PLACE * task.rotation_tolerance_rad if task.orientation == "learned" else 0.0
+    mean = ReferencePath.along(mean_poses(list(trajectories), max(len(rows) for rows in trajectories)))
+    return Expert(mean, _steps_ahead, task.goal, task.step_m, turn)
+
+
+def _steps_ahead(path: ReferencePath, positions: Array, arc: Array, step: float) -> Array:
+    return path.places.at(arc + _AIM_STEPS * step)
+
+
+def jackknife_signs(
+    folds: Sequence[Fold], trajectories: Sequence[Array], task: Task, prediction: Prediction, doubts: Sequence[float]
+) -> list[Array]:
+    """Return, for each state but the last of each demonstration, its number of right signs and of signs, (N − 1, L, 2).
+
+    The trust domain is calibrated on them. A reward must know which actions are right, not the person's next pose to a
+    millimetre. So right is what the expert of all demonstrations' mean does: people who differ by centimetres agree on
+    it, while no model predicts the next step of a single one of them.
+
+    Args:
+        folds: one for each demonstration; the model of the others gives the rewards.
+        trajectories: (N, 7) of all of them, in the start frame.
+        task: gives actions and tolerances.
+        prediction: what rewards compare with.
+        doubts: L guard bands as shares of the tolerance; a comparison within the band is not counted.
+    """
+    expert = mean_expert(trajectories, task)
+    return [
+        count_signs(fold.model, fold.held_out[:-1], expert.next_pose(fold.held_out[:-1]), task, prediction, doubts)
+        for fold in folds
+    ]
+
+
+def left_out_share(folds: Sequence[Fold], task: Task, prediction: Prediction, doubt: float) -> float | None:
+    """Return the share of right signs, where right is what the left-out demonstration does next; None without folds."""
+    if not folds:
+        return None
+    found = []
+    for fold in folds:
+        before = fold.held_out[:-1]
+        wished = mean_expert([fold.held_out], task).next_pose(before)
+        found.append(count_signs(fold.model, before, wished, task, prediction, [doubt]).sum(axis=(0, 1)))
+    right, of = np.sum(found, axis=0)
+    return float(right / of)
+
+
+def count_signs(
+    model: IntentModel, poses: Array, wished: Array, task: Task, prediction: Prediction, doubts: Sequence[float]
+) -> Array:
+    """Return the numbers of right signs and of signs, (N, L, 2), at poses (N, 7) for each of L doubts.
+
+    Args:
+        model: gives the rewards.
+        poses: in its start frame.
+        wished: (N, 7) a person's next poses.
+        task: gives actions and tolerances.
+        prediction: what rewards compare with.
+        doubts: as :func:`jackknife_signs` takes them.
+    """
+    reached = reached_poses(poses, task)
+    predicted = model.predict(poses)
+    if prediction == "rescaled":
+        predicted = model.to_step(poses, predicted, task.step_m)
+    margin = np.where(legal_actions(task), 1.0 - excess(reached, predicted[:, None], task), -np.inf)
+    right = (margin >= 0) == within_tolerance(reached, wished[:, None], task)
+    counts = np.stack([certain_signs(margin, doubt) & legal_actions(task) for doubt in doubts], axis=1)
+    return np.stack([(right[:, None] & counts).sum(axis=2), counts.sum(axis=2)], axis=2).astype(float)
+
+
 _STARTS = 20
-# Displacements [m] are tried from here on, each half of the one before.
+# The first displacement [m]; it is halved until it lies in the domain.
 _FARTHEST_M = 0.064
 _HALVINGS = 7
 _WIDER = 3.0
 _REST_STEPS = 25
-# How many times the longest demonstration's steps the model may take; one that is still under way then does not arrive.
+# Step limit of the roll-outs, in steps of the longest demonstration.
 _PATIENCE = 3
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Shares of starts from which a model's goal is reached.
+    """Shares of starts from which the model reaches the goal.
 
     Attributes:
-        demonstrated: from the demonstrated region: the demonstrations' starts, starts of the task's region and
-            states beside the demonstrations as far out as they are trusted.
-        wide: from starts up to three times as far out as the start region.
+        demonstrated: of starts in the demonstrated region: the demonstrations' starts, starts of the task's region and
+            trusted states beside the demonstrations.
+        wide: of starts up to three times as far out as the start region.
     """
 
     demonstrated: float
@@ -126,11 +196,11 @@ class Convergence:
 
 
 def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array], task: Task) -> Convergence:
-    """Return from where the model reaches the goal's position, rescaled to the agent's step.
+    """Return the shares of starts from which roll-outs of fixed step reach the goal's position and stay there.
 
     Args:
         model: the model.
-        trust: how far beside the demonstrations it is relied upon.
+        trust: how far beside the demonstrations starts lie.
         trajectories: demonstrated poses (N, 7).
         task: gives step, start region, goal and its tolerance.
     """
@@ -149,7 +219,7 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
 
 
 def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Generator) -> Array:
-    """Return demonstrated states (M, 7) displaced within the domain, at least half as far as it reaches."""
+    """Return demonstrated states (M, 7) displaced within the domain, by at least half its extent."""
     everything = np.concatenate(trajectories)
     states = everything[rng.integers(len(everything), size=_STARTS)]
     direction = rng.normal(size=(_STARTS, 3))
@@ -162,19 +232,19 @@ def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Genera
 
 
 def _arrives(model: IntentModel, starts: Array, task: Task, limit: int) -> np.ndarray:
-    """Return whether each start (N, 7) leads to the goal in ``limit`` steps and stays there, as booleans (N,)."""
+    """Return whether the roll-out from each start (N, 7) reaches the goal in ``limit`` steps and stays, (N,)."""
     arrived = np.zeros(len(starts), dtype=bool)
     under_way, poses = np.arange(len(starts)), starts
     ends = starts.copy()
     for _ in range(limit):
-        poses = model.preferred(poses, task.step_m)
+        poses = model.predict_step(poses, task.step_m)
         there = _at_goal(poses, task)
         arrived[under_way[there]] = True
         ends[under_way[there]] = poses[there]
         under_way, poses = under_way[~there], poses[~there]
         if not len(under_way):
             break
-    # One that only comes by is gone a moment later.
+    # A roll-out that only passes the goal has left it a few steps later.
     arrived[arrived] = _at_goal(model.roll_out(ends[arrived], _REST_STEPS, task.step_m)[-1], task)
     return arrived
 

@@ -1,7 +1,7 @@
-"""One Koopman model of the whole pose: what is left to turn is predicted from where the tool is.
+"""One Koopman model of the whole pose: orientation is predicted from the position.
 
-People turn by 0.2 to 0.3 degrees a step over a whole path. Predicted from the orientation alone, "do not turn" is then
-always nearest; predicted from the place, a tool that lags behind in its turn is told to turn.
+People turn by 0.2 to 0.3 degrees a step. Predicted from the orientation alone, "do not turn" is then always nearest;
+predicted from the position, a tool that lags behind in its turn is told to turn.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.intent.augment import SPACING_M, Course
+from koopdqn.intent.augment import SPACING_M, PursuitPath
 from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Observables, RandomFourier, RotationObservables
@@ -23,12 +23,12 @@ from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE, one_step
 from koopdqn.tasks.task import Task, angles_in, quaternions_in
 
-# Place [m], and the entries of R − I.
+# Position, and the entries of R − I.
 _PLACE, _TURN = slice(0, 3), slice(3, 12)
 
 
 class FeaturesOfPlace(Observables):
-    """Random Fourier features of the place, the first three components of a state; its turn enters linearly."""
+    """Random Fourier features of the position, the first three components of a state; the turn enters linearly."""
 
     fourier: RandomFourier
 
@@ -42,12 +42,13 @@ class WholePoseSettings(IntentSettings):
 
     count: int = Field(ge=1, le=5000, description="random Fourier features of the position")
     length_scales: Interval = Field(description="narrowest and widest kernel, in units of the demonstrations' spread")
-    copies: int = Field(ge=1, le=100, description="augmented states beside each of the mean demonstration's")
-    far: float = Field(gt=0, description="how far the farthest lie, in units of the demonstrations' spread")
-    far_rad: float = Field(gt=0, description="standard deviation of their turn [rad]")
-    lead_back_steps: float = Field(gt=0, description="steps ahead on the mean demonstration that they lead to")
+    copies: int = Field(ge=1, le=100, description="augmented states around each state of the mean demonstration")
+    far: float = Field(gt=0, description="largest distance of these, in units of the demonstrations' spread")
+    far_rad: float = Field(gt=0, description="standard deviation of their rotation [rad]")
+    lead_back_steps: float = Field(gt=0, description="distance over which they lead back, in steps of the agent")
     touching_m: float = Field(
-        ge=0, description="a path nearer than this to an earlier part of itself that runs elsewhere takes its place [m]"
+        ge=0,
+        description="where the path passes itself nearer than this in another direction, the later part counts [m]",
     )
     ridge: float = Field(gt=0, description="λ of the regularised least squares")
     seed: int = Field(ge=0, description="of features and augmented states")
@@ -58,7 +59,7 @@ class WholePoseSettings(IntentSettings):
         return (self.ridge,)
 
     def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
-        """Return the frame in which the mean of the others tells more of a trajectory (N, 7) that is left out."""
+        """Return the frame in which the mean of the other trajectories (N, 7) is nearer to the one left out."""
         return StartFrame.chosen(trajectories, task.nominal_start, task.goal)
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
@@ -68,14 +69,14 @@ class WholePoseSettings(IntentSettings):
         return self._model(koopman, spread, task)
 
     def alternatives(self, trajectories: list[Array], task: Task) -> dict[float, IntentModel]:
-        """Return the model of the one ridge, whose K holds the state's own rows only."""
+        """Return the model of the one ridge, with the state's rows of K only."""
         before, after, spread = self._states(trajectories, task)
         rows = (np.zeros(12), 1.0, self.ridges, np.ones(len(before)))
         (koopman,) = KoopmanModel.one_step(self._observables, before, after, *rows)
         return {self.ridge: self._model(koopman, spread, task)}
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
-        """Return the model whose arrays these are."""
+        """Return the model with these arrays."""
         koopman = KoopmanModel(self._observables, np.zeros(12), 1.0, arrays["matrix"])
         spread, tolerance = float(arrays["spread"]), float(arrays["rotation_tolerance"])
         frame = StartFrame.restore({name: arrays[f"frame_{name}"] for name in STILL.arrays()})
@@ -87,7 +88,7 @@ class WholePoseSettings(IntentSettings):
         return FeaturesOfPlace(fourier=fourier)
 
     def _states(self, trajectories: list[Array], task: Task) -> tuple[Array, Array, float]:
-        """Return the states (M, 12) to fit to, their successors (M, 12) and the spread of the places [m]."""
+        """Return the states (M, 12) to fit, their successors (M, 12) and the spread of the positions [m]."""
         positions = np.concatenate(trajectories)[:, pose.POSITION]
         spread = float(np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean()))
         before, after = (_state(poses, task.goal, spread) for poses in self._pairs(trajectories, spread, task))
@@ -98,16 +99,15 @@ class WholePoseSettings(IntentSettings):
         return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal)
 
     def _pairs(self, trajectories: list[Array], spread: float, task: Task) -> tuple[Array, Array]:
-        """Return states (M, 7) of the mean demonstration and around it, and where they lead a step later (M, 7).
+        """Return states (M, 7) of the mean demonstration and around it, and their successors (M, 7).
 
-        Ten coarse actions leave a bundle of paths that run side by side; they keep to one path to which all leads.
-        Augmented states lie anywhere around it, at distances spread evenly over their orders of magnitude from one
-        step on, and lead back to it within some steps. Their orientations are strewn too, and are led to that of the
-        place.
+        Ten coarse actions cannot hold paths that run side by side apart, but can follow one to which all states lead.
+        Augmented states lie in any direction from it, at log-uniform distances of one step and more, and lead back to
+        it within some steps. Their orientations are random too, and turn to that of the path.
         """
         mean = mean_poses(trajectories, max(len(rows) for rows in trajectories))
-        course = Course.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
-        shown = to_count(mean, len(course.points))
+        path = PursuitPath.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
+        shown = to_count(mean, len(path.points))
         rng = np.random.default_rng(self.seed)
         near = np.repeat(mean[:, None], self.copies, axis=1).reshape(-1, 7)
         farthest = max(self.far * spread, task.step_m)
@@ -115,25 +115,25 @@ class WholePoseSettings(IntentSettings):
         way = rng.normal(size=(len(near), 3))
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         turn = pose.from_rotation_vector(rng.normal(scale=self.far_rad, size=(len(near), 3)))
-        strewn = pose.make(near[:, pose.POSITION] + size * way, pose.multiply(near[:, pose.QUATERNION], turn))
-        states = np.concatenate([mean, strewn])
+        scattered = pose.make(near[:, pose.POSITION] + size * way, pose.multiply(near[:, pose.QUATERNION], turn))
+        states = np.concatenate([mean, scattered])
         position = states[:, pose.POSITION]
-        ahead = course.nearest(position) + max(1, round(task.step_m / SPACING_M))
+        ahead = path.nearest(position) + max(1, round(task.step_m / SPACING_M))
         turned = shown[np.minimum(ahead, len(shown) - 1), pose.QUATERNION]
-        return states, pose.make(course.step_from(position, task.step_m), turned)
+        return states, pose.make(path.step_from(position, task.step_m), turned)
 
 
 @dataclass(frozen=True)
 class WholePoseIntent(IntentModel):
-    """A model whose state is the place, in spreads, and the entries of R − I, both from the goal.
+    """A model whose state is the position from the goal, in spreads, and the entries of R − I from the goal.
 
     Attributes:
         koopman: the model of states (N, 12).
-        spread: unit of places [m].
-        held: whether orientation is held whatever the model says.
+        spread: unit of positions [m].
+        held: whether orientation is held in place of the prediction.
         rotation_tolerance: [rad].
         goal: the goal pose (7,).
-        start_frame: in which it knows poses.
+        start_frame: in which it was fitted.
     """
 
     koopman: KoopmanModel
@@ -153,13 +153,13 @@ class WholePoseIntent(IntentModel):
         return pose.make(position, pose.multiply(self.goal[pose.QUATERNION], turned))
 
     def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
-        """Return predictions (N, 7) scaled to one step of the agent [m], in position and turn together."""
+        """Return predictions (N, 7) rescaled to one step of the agent [m], position and turn together."""
         if self.held:
             return super().to_step(poses, predicted, step)
         return one_step(poses, predicted, self.goal, step, IN_PLACE * self.rotation_tolerance)
 
     def within(self, frame: StartFrame) -> "WholePoseIntent":
-        """Return the model with the frame in which its trajectories were placed."""
+        """Return the model with the frame in which it was fitted."""
         return replace(self, start_frame=frame)
 
     @property
@@ -168,7 +168,7 @@ class WholePoseIntent(IntentModel):
         return {"K": self.koopman}
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything but the settings, as arrays."""
+        """Return the model as arrays, without its settings."""
         return {
             "matrix": self.koopman.matrix,
             "spread": np.array(self.spread),
@@ -186,7 +186,7 @@ def _state(poses: Array, goal: Array, spread: float) -> Array:
 
 
 def _nearest_rotations(matrices: Array) -> Array:
-    """Return the quaternions (N, 4) of the rotations nearest to matrices (N, 3, 3), by their singular vectors."""
+    """Return the quaternions (N, 4) of the rotations nearest to matrices (N, 3, 3), by their SVD."""
     from scipy.spatial.transform import Rotation
 
     left, _, right = np.linalg.svd(matrices)
@@ -201,7 +201,7 @@ class RotationSettings(Settings):
     coordinates: Literal["vector", "angles"] = Field(
         description="rotation vector from the goal, or roll, pitch and yaw in the task's frame (the paper)"
     )
-    ridge: float = Field(ge=0, description="as for positions")
+    ridge: float = Field(ge=0, description="λ of the regularised least squares")
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class RotationModel:
 
     Attributes:
         koopman: the model of the coordinates, K_o.
-        frame: (2, 4) left and right quaternions that the coordinates are relative to.
+        frame: (2, 4) left and right quaternions of the coordinates' frame.
         coordinates: rotation vectors, or roll, pitch and yaw.
     """
 

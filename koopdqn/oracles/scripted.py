@@ -11,7 +11,7 @@ from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction
 from koopdqn.tasks.actions import within_tolerance
-from koopdqn.tasks.task import Task, demonstrator_wishes
+from koopdqn.tasks.task import Task, demonstrator_next_poses
 
 if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Workcell
@@ -49,7 +49,7 @@ def demonstrator_agrees(task: Task, poses: Array, reached: Array, starts: Array 
     """
     if starts is None:
         return within_tolerance(reached, task.demonstrator.next_pose(poses), task)
-    return within_tolerance(reached, demonstrator_wishes(task, poses, starts), task)
+    return within_tolerance(reached, demonstrator_next_poses(task, poses, starts), task)
 
 
 _STREAM = 4

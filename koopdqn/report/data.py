@@ -82,7 +82,7 @@ def held_out(
         BadInputError: the demonstrations do not fit the task.
     """
     fitted = fit(demonstrations, task, intent, trust, reward)
-    fold, inside = fitted.folds[SHOWN], fitted.inside[SHOWN]
+    fold, inside = fitted.folds[SHOWN], fitted.contained[SHOWN]
     # As the reward does: the reached state must be trusted, by default the one before as well.
     asked = ~inside[1:] if trust.needs == "reached" else ~(inside[1:] & inside[:-1])
     errors = sizes_of(fold.error), sizes_of(fold.rescaled)

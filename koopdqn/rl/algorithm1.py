@@ -1,4 +1,4 @@
-"""Algorithm 1, the Koopman operator-based knowledge-guided DQN, over many episodes at once.
+"""Algorithm 1, the Koopman operator-based knowledge-guided DQN, with parallel episodes.
 
 Beside the paper's listing (reconstructed from §3.1, §3.3, §3.4 and §4; docs/algorithm.md numbers the differences):
 
@@ -24,15 +24,14 @@ from koopdqn.oracles.base import Oracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.checks import Checker, Progress
-from koopdqn.rl.dqn import Learner, load_arrays
+from koopdqn.rl.dqn import Learner, below, load_arrays
 from koopdqn.rl.history import Check, History
 from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.labelling import LabelAllKnown, LabelChosen, Labelling, Motions
-from koopdqn.rl.labels import Labelled
 from koopdqn.rl.network import QNetwork, observe, size
 from koopdqn.rl.policy import Policy
 from koopdqn.rl.questions import Asking
-from koopdqn.rl.replay_buffer import ReplayBuffer
+from koopdqn.rl.replay_buffer import Labelled, ReplayBuffer
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
@@ -42,15 +41,15 @@ _COUNTERS = ("env_steps", "rounds")
 
 
 class Trainer:
-    """Learns a task's path. Make it, perhaps :meth:`restore` it, then :meth:`run` it.
+    """Learns a task's path. Construct it, optionally :meth:`restore` a checkpoint, then :meth:`run` it.
 
     Attributes:
-        history: what happened so far.
+        history: of the training so far.
         learner: the networks.
-        replay: the experience they learn from.
-        best: the policy arrays of the best check so far: most successes, of equal ones the nearest to the intent.
-        feedback: the reward function and what answers have taught.
-        env_steps: actions tried so far: each transition that was stored.
+        replay: the replay buffer.
+        best: the policy arrays of the best check: most successes, of equal ones the nearest to the intent.
+        feedback: the reward function, extended by answers.
+        env_steps: actions tried so far: the number of stored transitions.
         env: the episodes.
         progress: the best check so far, and whether the task is learned.
     """
@@ -73,14 +72,14 @@ class Trainer:
         Args:
             workcell: task, arm and scene.
             reward: the task's reward function.
-            trajectories: demonstrated poses (N, 7) at the agent's step, placed in the intent's frame.
-            oracle: who answers where the model is not trusted.
-            agent: how it learns.
-            settings: when it stops.
+            trajectories: demonstrated poses (N, 7) at the agent's step, in the intent's start frame.
+            oracle: answers where the model is not trusted.
+            agent: settings of the agent.
+            settings: when to check and to stop.
             seed: fixes everything.
-            feedback: what is made of answers.
-            budget: how many questions may be asked.
-            asking: when they are asked.
+            feedback: how far answers apply.
+            budget: of questions.
+            asking: when questions are asked.
         """
         torch.set_num_threads(settings.threads)
         self.workcell = workcell
@@ -93,7 +92,7 @@ class Trainer:
         self.replay = ReplayBuffer(agent.replay, size(self._task))
         self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back, replay=self.replay)
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
-        starts = StartSampler.of_agent(workcell, reward.model.start_frame, trajectories, agent, self.step_limit)
+        starts = StartSampler(workcell, reward.model.start_frame, trajectories, self.step_limit, agent)
         self.env = VectorEnv(workcell, self.feedback, starts, agent.episodes_at_once, self._explore_rng, asking)
         self._labelling: Labelling = LabelAllKnown() if agent.trials == "all" else LabelChosen()
         self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)
@@ -106,11 +105,11 @@ class Trainer:
 
     @property
     def policy(self) -> Policy:
-        """The policy as it is now."""
+        """The present policy."""
         return Policy(self.learner.policy_network, self._task, self.feedback.reward.model.start_frame)
 
     def best_network(self) -> QNetwork:
-        """Return a network with the arrays of :attr:`best`."""
+        """Return the network with the arrays of :attr:`best`."""
         network = QNetwork(size(self._task), self.agent.network, np.random.default_rng(0))
         load_arrays(network, self.best)
         return network
@@ -122,7 +121,7 @@ class Trainer:
 
     @property
     def questions(self) -> int:
-        """Questions that reached the oracle so far."""
+        """Number of questions that reached the oracle so far."""
         return self.feedback.questions
 
     def run(
@@ -137,26 +136,26 @@ class Trainer:
             on_round: called after every step of all episodes.
 
         Raises:
-            PauseRequested: who answers wants to go on another time.
+            PauseRequested: whoever answers pauses the run.
         """
         while not self._finished():
             self.collect()
             due = self.env_steps >= self.agent.warm_up and self.rounds % self.agent.rounds_per_update == 0
             checks = self.train() if due else []
             self.rounds += 1
-            # Only between rounds is the state whole: a run saved within one could not go on with its rest.
+            # The state is complete between rounds only; a run saved within one could not be resumed.
             for check in checks:
                 on_check(check)
             on_round()
 
     def collect(self) -> None:
-        """Let every episode try one action, after what is known anyway was labelled.
+        """Label what is known, then let every episode try one action.
 
         Raises:
-            PauseRequested: who answers wants to go on another time.
+            PauseRequested: whoever answers pauses the run.
         """
         evaluation = self.env.evaluate_actions()
-        values = self.learner.online.values(observe(evaluation.placed, self._task))
+        values = self.learner.online.values(observe(evaluation.local, self._task))
         labelled, motions = self._labelling.label(self.env, evaluation)
         if labelled is not None:
             self._store(labelled)
@@ -165,14 +164,14 @@ class Trainer:
             again = True
             while again:
                 if self.feedback.changes > changes:
-                    # What an answer has taught, or an undo has taken back, holds for the next question already.
+                    # An answer, or its withdrawal, counts for the next question already.
                     changes = self.feedback.changes
                     evaluation = self.env.evaluate_actions()
-                # A no alone says little: the same place is asked about until something is right there.
+                # After a no the same pose is asked about until an action is right.
                 again = self._try_one(index, evaluation, values[index], motions)
 
     def train(self) -> list[Check]:
-        """Make the updates of one round and return the checks that fell due."""
+        """Make the updates of one round and return the checks made."""
         draw = self.replay.sample_states if self.agent.drawn == "states" else self.replay.sample
         checks = []
         for _ in range(self.agent.updates_per_round):
@@ -182,13 +181,13 @@ class Trainer:
         return checks
 
     def _try_one(self, index: int, evaluation: ActionEvaluation, values: np.ndarray, motions: Motions) -> bool:
-        """Let an episode try one action; return whether it asked, was told no and has others to ask about."""
+        """Let an episode try one action; return whether the answer was no and it should try another at once."""
         action, ask = self._choose(index, evaluation, values)
         if action is None:
             tried = self.env.episodes.tried[index] & ~self.env.episodes.stored[index]
-            # A question without an answer may have been about what is right.
+            # Skipped questions may have been about right actions.
             if not tried.any():
-                self.feedback.contradict(evaluation.placed[index])
+                self.feedback.contradict(evaluation.local[index])
             self._end(index)
             return False
         attempt = self.env.try_action(index, action, evaluation, motions.get((index, action)), ask=ask)
@@ -200,7 +199,7 @@ class Trainer:
         return attempt.asked and wrong and self.agent.trials == "all" and not self.feedback.stopped
 
     def _choose(self, index: int, evaluation: ActionEvaluation, values: np.ndarray) -> tuple[int | None, bool]:
-        """Return which action an episode tries, or None if none is left, and whether it must be asked about."""
+        """Return the action an episode tries, or None if none is left, and whether to ask about it."""
         explore = self._explore_rng.random() < self.agent.epsilon(self.env_steps)
         choice = self._labelling.choice(self.env, evaluation, index)
         if not choice.allowed.any():
@@ -216,7 +215,7 @@ class Trainer:
         self.env_steps += len(labelled.actions)
 
     def _end(self, index: int) -> None:
-        """End an episode, ask what it has put off, and begin another."""
+        """End an episode, ask the questions it put off, and begin another."""
         for labelled in self.env.answer_put_off(index):
             self._store(labelled)
         episodes = self.env.episodes
@@ -232,7 +231,7 @@ class Trainer:
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
         self._losses.clear()
-        if self.progress.take(check, self.settings):
+        if self.progress.add(check, self.settings):
             self.best = self.learner.policy_arrays()
         return check
 
@@ -246,7 +245,7 @@ class Trainer:
         return self.settings.stop == "learned" or self.env_steps >= self.settings.extend * self.progress.learned_at
 
     def state(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Return everything a run needs to go on: arrays and JSON values."""
+        """Return everything needed to resume a run: arrays and JSON values."""
         parts = {
             "learner": self.learner.state(),
             "replay": self.replay.state(),
@@ -268,19 +267,14 @@ class Trainer:
         return arrays, about
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict[str, Any]) -> None:
-        """Go on from what :meth:`state` returned."""
-
-        def part(name: str) -> dict[str, np.ndarray]:
-            prefix = f"{name}/"
-            return {key.removeprefix(prefix): values for key, values in arrays.items() if key.startswith(prefix)}
-
-        self.learner.restore(part("learner"))
-        self.replay.restore(part("replay"))
-        self.env.episodes.restore(part("episodes"))
-        self.env.put_off.restore(part("put_off"))
-        self.best = part("best")
-        self.feedback.restore(part("feedback"))
-        self._losses = part("losses")["recent"].tolist()
+        """Resume from what :meth:`state` returned."""
+        self.learner.restore(below(arrays, "learner/"))
+        self.replay.restore(below(arrays, "replay/"))
+        self.env.episodes.restore(below(arrays, "episodes/"))
+        self.env.put_off.restore(below(arrays, "put_off/"))
+        self.best = below(arrays, "best/")
+        self.feedback.restore(below(arrays, "feedback/"))
+        self._losses = arrays["losses/recent"].tolist()
         for name in _COUNTERS:
             setattr(self, name, about["counters"][name])
         self.env.begun = about["begun"]

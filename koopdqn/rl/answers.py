@@ -1,4 +1,4 @@
-"""Answers by pose and action: where each still holds."""
+"""Remembered answers by pose and action, and where each still applies."""
 
 from dataclasses import dataclass, field
 
@@ -11,18 +11,22 @@ from koopdqn.settings import Settings
 
 Row = tuple[float, ...]
 
-# Nearer than this [m, rad] two poses are one and the same.
+# Poses nearer than this [m, rad] are the same.
 _SAME = 1e-6
 
 
 class FeedbackSettings(Settings):
-    """What is made of answers beyond the reward of the action asked about."""
+    """How far an answer applies beyond the action asked about."""
 
     remember_m: float = Field(
-        ge=0, le=0.5, description="an answer holds for the same action within this distance of its pose; 0: nowhere [m]"
+        ge=0,
+        le=0.5,
+        description="an answer applies to the same action within this distance of its pose; 0: nowhere [m]",
     )
     remember_rad: float = Field(gt=0, le=3.2, description="and within this angle of its orientation [rad]")
-    extend: bool = Field(description="let a yes extend the trust domain and, where it disagrees, the intent model")
+    extend: bool = Field(
+        description="let a yes extend the trust domain and, where the intent model disagrees, correct the model"
+    )
     reach_m: float = Field(gt=0, le=0.5, description="radius of such an extension around the pose [m]")
 
 
@@ -31,16 +35,16 @@ class RememberedAnswers:
     """Answers by pose and action, in the order in which they were given.
 
     Attributes:
-        settings: how far an answer holds.
+        settings: how far an answer applies.
         numbers: of the answers, as the journal counts them.
-        poses: (7,) that were asked about.
-        actions: that were asked about.
-        reached: poses (7,) after them.
-        right: what was said.
-        margins: of the intent model's own opinion when it was asked; at least 0: it had thought the action right.
-        expected: whether the model had thought it right and no other action more so.
-        contradictions: how often nothing was left that could have been right.
-        hopeless: poses (7,) where that was so.
+        poses: (7,) of the questions.
+        actions: of the questions.
+        reached: poses (7,) after the actions.
+        right: the answers.
+        margins: of the intent model's prediction when asked; at least 0 if the model held the action right.
+        expected: whether the model held the action right and no other action better.
+        contradictions: how often no action was left that could be right.
+        hopeless: poses (7,) where that happened.
     """
 
     settings: FeedbackSettings
@@ -56,28 +60,28 @@ class RememberedAnswers:
     _stacked: Array | None = field(default=None, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
-        """Return the number of answers held."""
+        """Return the number of answers."""
         return len(self.numbers)
 
     def add(
         self, number: int, point: Array, action: int, reached: Array, *, right: bool, margin: float, expected: bool
     ) -> None:
-        """Remember the answer of a number to a question about a pose (7,), an action and the pose it reached (7,)."""
-        # Rows of plain floats: thousands of small arrays kept would hold the allocator's larger blocks apart.
+        """Remember an answer, by its number, about an action from a pose (7,) and the pose it reached (7,)."""
+        # Rows of plain floats: thousands of small arrays would fragment memory.
         row = (number, tuple(point.tolist()), action, tuple(reached.tolist()), right, margin, expected)
         for values, value in zip(self._columns(), row, strict=True):
             values.append(value)
         self._stacked = None
 
     def recall(self, poses: Array, margins: Array) -> np.ndarray:
-        """Return which answer holds for each of K actions from poses (N, 7): its place (N, K), or −1.
+        """Return the index (N, K) of the answer that applies to each of K actions from poses (N, 7), or −1.
 
-        The nearest decides, of equally near ones the latest. The model may be off by some margin, about the same
-        nearby: a yes holds for what it thinks at least as right, a no for what it thinks at most as right.
+        The nearest answer counts; of equally near ones, the latest. The model's error in the margin is about the same
+        nearby, so a yes applies where the margin is at least that of the question, a no where it is at most that.
 
         Args:
-            poses: from which actions are tried.
-            margins: (N, K) of the model's opinion of them; at least 0: right.
+            poses: before the actions.
+            margins: (N, K) of the model's predictions; at least 0 for right actions.
         """
         found = np.full(margins.shape, -1)
         if not len(self) or self.settings.remember_m == 0.0:
@@ -87,31 +91,28 @@ class RememberedAnswers:
         turned = pose.rotation_distance(poses[:, None], known[None])
         near = (moved <= self.settings.remember_m) & (turned <= self.settings.remember_rad)
         opinion, then = margins[:, actions], np.array(self.margins)
-        holds = near & np.where(self.right, opinion >= then, opinion <= then)
-        holds |= (moved <= _SAME) & (turned <= _SAME)
-        for action in np.unique(actions[holds.any(axis=0)]):
-            gap = np.where(holds & (actions == action), moved, np.inf)[:, ::-1]
+        applies = near & np.where(self.right, opinion >= then, opinion <= then)
+        applies |= (moved <= _SAME) & (turned <= _SAME)
+        for action in np.unique(actions[applies.any(axis=0)]):
+            gap = np.where(applies & (actions == action), moved, np.inf)[:, ::-1]
             place = gap.shape[1] - 1 - gap.argmin(axis=1)
             found[:, action] = np.where(np.isfinite(gap.min(axis=1)), place, -1)
         return found
 
     def extension(self) -> tuple[Array, Array, Array]:
-        """Return the poses (M, 7) of yeses that the model expected, and (D, 7) before and after the others."""
+        """Return the poses (M, 7) of expected yeses, and the poses (D, 7) before and after unexpected ones."""
         yes = [i for i, right in enumerate(self.right) if right]
         expected = [i for i in yes if self.expected[i]]
         unexpected = [i for i in yes if not self.expected[i]]
         return _rows(self.poses, expected), _rows(self.poses, unexpected), _rows(self.reached, unexpected)
 
     def withdraw(self, numbers: set[int]) -> None:
-        """Forget the answers of these numbers, and where nothing was right, which may rest on them."""
+        """Forget the answers with these numbers, and all contradictions, which may depend on them."""
         self.hopeless.clear()
         self._keep([number not in numbers for number in self.numbers])
 
     def contradict(self, point: Array) -> bool:
-        """Notice that no action is left from a pose (7,), and forget the noes that led there: one must be wrong.
-
-        Returns whether there were any.
-        """
+        """Forget the noes around a pose (7,) where no action is left: one must be wrong. Return if there were any."""
         if not len(self):
             return False
         noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
@@ -122,12 +123,12 @@ class RememberedAnswers:
         return bool(noes.any())
 
     def hopeless_near(self, point: Array, reach: float) -> bool:
-        """Return whether nothing was right within a reach [m] of a pose (7,)."""
+        """Return whether no action was left somewhere within a reach [m] of a pose (7,)."""
         places = np.array(self.hopeless).reshape(-1, 7)
         return bool((pose.position_distance(places, point) <= reach).any())
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return everything held, as arrays."""
+        """Return the state as arrays."""
         return {
             "numbers": np.array(self.numbers, dtype=np.int64),
             "poses": _rows(self.poses, range(len(self))),
@@ -141,7 +142,7 @@ class RememberedAnswers:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Hold what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         self.numbers, self.actions = state["numbers"].tolist(), state["actions"].tolist()
         self.right, self.margins = state["right"].tolist(), state["margins"].tolist()
         self.expected = state["expected"].tolist()

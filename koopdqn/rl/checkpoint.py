@@ -1,4 +1,4 @@
-"""Checkpoints: everything a run needs to go on, in one file that appears whole or not at all."""
+"""Checkpoints: the state of a run in one file, written atomically."""
 
 import json
 from pathlib import Path
@@ -10,14 +10,14 @@ from koopdqn.files import canonical_json
 from koopdqn.rl.algorithm1 import Trainer
 
 KIND = "checkpoint"
-# In a message: differences named, and characters of a value.
+# Most differences and most characters of a value in a message.
 _SHOWN = 4
 _LONGEST = 40
 _NONE = object()
 
 
 def checkpoint_path(folder: Path) -> Path:
-    """Return where a run folder keeps its latest checkpoint."""
+    """Return the path of a run folder's latest checkpoint."""
     return folder / "checkpoints" / "latest.safetensors"
 
 
@@ -27,8 +27,8 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
     Args:
         folder: the run folder.
         trainer: the run.
-        shaped_by: the config that decides what the run does; a run goes on only with the same.
-        seconds: how long the run has taken so far.
+        shaped_by: the config that determines the run; it is resumed only with the same.
+        seconds: duration of the run so far [s].
     """
     arrays, state = trainer.state()
     about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}
@@ -36,10 +36,10 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
 
 
 def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
-    """Return a run folder's latest checkpoint, or None if it was stopped before the first.
+    """Return a run folder's latest checkpoint, or None if there is none yet.
 
     Raises:
-        BadInputError: the checkpoint is damaged, or the run was shaped by another config.
+        BadInputError: the checkpoint is damaged, or the run was begun with another config.
     """
     path = checkpoint_path(folder)
     if not path.exists():
@@ -58,7 +58,7 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
 
 
 def questions_asked(checkpoint: Artifact) -> int:
-    """Return how many questions had reached the oracle when a run's checkpoint was saved.
+    """Return the number of questions asked before a checkpoint was saved.
 
     Raises:
         BadInputError: the checkpoint does not say.
@@ -68,7 +68,7 @@ def questions_asked(checkpoint: Artifact) -> int:
 
 
 def _differences(name: str, began: Any, now: Any) -> list[str]:
-    """Return what is different in two contents of JSON, by the dotted names of their keys and places."""
+    """Return the differences of two JSON contents, with the dotted names of their keys."""
     if isinstance(began, list) and isinstance(now, list) and len(began) == len(now):
         began, now = dict(enumerate(began)), dict(enumerate(now))
     if isinstance(began, dict) and isinstance(now, dict):

@@ -1,4 +1,4 @@
-"""Checks of the policy on held-out starts during training, and when they say that the task is learned."""
+"""Checks of the policy on held-out starts during training, and whether the task is learned."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,12 +19,12 @@ _AT_REST = 1e-9
 
 
 class Checker:
-    """Tries policies from the same starts each time."""
+    """Measures policies from fixed starts."""
 
     def __init__(self, workcell: Workcell, model: IntentModel, settings: TrainSettings, step_limit: int) -> None:
-        """Draw the starts: ``settings.check_starts``, by ``settings.check_seed``; episodes end after ``step_limit``.
+        """Draw the starts as ``settings`` say; episodes end after ``step_limit`` steps.
 
-        ``model`` is the intent as it was fitted, whose roll-outs paths are compared with.
+        Paths are compared with roll-outs of ``model``, the intent as it was fitted.
         """
         self._workcell = workcell
         self._model = model
@@ -33,10 +33,10 @@ class Checker:
         self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
 
     def measure(self, policy: Controller) -> tuple[float, float, dict[str, int]]:
-        """Return a policy's success rate, its distance from the intent's own roll-out, and failed starts by cause.
+        """Return a policy's success rate, its distance from the intent's roll-outs, and failures by cause.
 
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
-        start: in steps of position or in turns in place, whichever is more.
+        start, in steps of position or in turns in place, whichever is larger.
         """
         workcell, task = self._workcell, self._workcell.task
         begun = self._starts, self._joints, self._step_limit
@@ -53,7 +53,7 @@ class Checker:
 
     @cached_property
     def _intended(self) -> Array:
-        """The poses (T, N, 7) that follow one another by the intent alone from the checks' starts, until they rest."""
+        """The intent's roll-outs (T, N, 7) from the starts, until they rest."""
         poses = [self._starts]
         for _ in range(self._step_limit):
             wished = self._model.intended(poses[-1], self._starts)
@@ -65,15 +65,15 @@ class Checker:
 
 @dataclass
 class Progress:
-    """The best check so far, and whether the task is learned: quality that has stopped improving.
+    """The best check so far, and whether the task is learned: quality has stopped improving.
 
     Attributes:
         learned_at: actions tried when it was learned, or −1.
-        passed: checks passed in a row of which none came nearer to the intent than the first by a gain.
-        first_distance: of the first of these from the intent.
-        best_success: of the best check: most successes, of equal ones the nearest to the intent; −1 before the first.
+        passed: checks passed in a row, none nearer to the intent than the first by the gain.
+        first_distance: distance of the first of these from the intent.
+        best_success: success rate of the best check; −1 before the first.
         best_distance: its distance from the intent.
-        best_update: updates made when it was.
+        best_update: updates made before it.
     """
 
     learned_at: int = -1
@@ -88,8 +88,8 @@ class Progress:
         """Whether enough checks in a row were passed."""
         return self.learned_at >= 0
 
-    def take(self, check: Check, settings: TrainSettings) -> bool:
-        """Take another check into account; return whether it is the best so far."""
+    def add(self, check: Check, settings: TrainSettings) -> bool:
+        """Add a check; return whether it is the best so far."""
         if check.success_rate < settings.check_success:
             self.passed = 0
         elif self.passed and check.intent_distance >= (1.0 - settings.gain) * self.first_distance:

@@ -15,7 +15,7 @@ from koopdqn.rl.settings import AgentSettings
 _BETA1: Final = 0.9
 _BETA2: Final = 0.999
 _EPSILON: Final = 1e-8
-# What autograd calls to go back through the mean squared error and ReLU.
+# The backward functions of the mean squared error and of ReLU, as autograd calls them.
 _mse_slope = torch.ops.aten.mse_loss_backward
 _relu_slope = torch.ops.aten.threshold_backward.grad_input
 _MEAN: Final = 1
@@ -23,10 +23,10 @@ _ONE: Final = torch.ones(())
 
 
 class Adam:
-    """An optimiser of given parameters, with the usual decay rates of the moments."""
+    """The optimiser Adam with its default decay rates."""
 
     def __init__(self, parameters: Sequence[Tensor], learning_rate: float) -> None:
-        """Begin without moments."""
+        """Begin with moments of zero."""
         self._parameters = [parameter.detach() for parameter in parameters]
         self._learning_rate = learning_rate
         self._means = [torch.zeros_like(values) for values in self._parameters]
@@ -35,7 +35,7 @@ class Adam:
         self._steps = [torch.zeros(()) for _ in self._parameters]
 
     def step(self, gradients: Sequence[Tensor]) -> None:
-        """Change the parameters by one step against their gradients."""
+        """Make one step of gradient descent."""
         steps = float(self._steps[0]) + 1.0
         size = self._learning_rate / (1 - _BETA1**steps)
         root = (1 - _BETA2**steps) ** 0.5
@@ -57,7 +57,7 @@ class Adam:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         for name, column in self._columns().items():
             for index, values in enumerate(column):
                 values.copy_(torch.from_numpy(state[f"{index}.{name}"]))
@@ -74,10 +74,10 @@ def q_targets(
     gamma: float,
     double: bool,
 ) -> Tensor:
-    """Return the targets (N,) that Q(s, a) is drawn to.
+    """Return the targets (N,) of Q(s, a).
 
     Double: r + γ Q'(s', argmax_a Q(s', a)). Otherwise Eq. 3 as written, with the target network Q':
-    r + γ max_a Q'(s', a). Where ``stop`` (N,) is true nothing follows and the target is r.
+    r + γ max_a Q'(s', a). Where ``stop`` (N,) is true the target is r.
 
     Args:
         rewards: (N,).
@@ -101,11 +101,11 @@ class Learner:
     Attributes:
         online: the network that acts.
         target: the network that evaluates.
-        updates: how many updates were made.
+        updates: number of updates made.
     """
 
     def __init__(self, inputs: int, settings: AgentSettings, rng: np.random.Generator) -> None:
-        """Make a learner for observations of ``inputs`` values, every weight drawn from ``rng``."""
+        """Make the networks for observations of ``inputs`` values, with weights drawn from ``rng``."""
         self.settings = settings
         self.online, self.target = (QNetwork(inputs, settings.network, rng, settings.device) for _ in range(2))
         self._device = self.online.device
@@ -118,14 +118,14 @@ class Learner:
         self._slopes = [torch.empty_like(weight) for weight, _ in self.online.weights]
 
     def normalise_to(self, observations: np.ndarray) -> None:
-        """Take mean and spread of the inputs of both networks from observations (N, inputs)."""
+        """Set mean and spread of both networks' inputs from observations (N, inputs)."""
         self.online.normalise_to(observations)
         self.target.normalise_to(observations)
 
     def update(self, batch: Transitions) -> float:
         """Make one update from a batch and return its loss (mean squared error).
 
-        Transitions of one state that follow one another in the batch share its pass through the network.
+        Adjacent transitions of one state share its forward pass.
         """
         stop = batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone
         with torch.no_grad():
@@ -148,10 +148,10 @@ class Learner:
         return torch.from_numpy(values).to(self._device)
 
     def _targets(self, batch: Transitions, stop: NDArray[np.bool_]) -> Tensor:
-        """Return the targets (N,) of a batch of which ``stop`` (N,) says after which nothing follows."""
-        # Most actions from a state are wrong and followed by nothing.
+        """Return the targets (N,) of a batch; where ``stop`` (N,) is true they do not bootstrap."""
+        # Most actions of a state are wrong, and their targets do not bootstrap.
         follows = np.flatnonzero(~stop)
-        # Features are not learned: both networks have the same.
+        # Features are not learned, so both networks have the same.
         features = self.online.features(self._tensor(batch.next_observations[follows]), self._features)
         online, target = (
             network.activations(features, buffers)[-1]
@@ -164,11 +164,11 @@ class Learner:
         return targets
 
     def _gradients(self, inputs: list[Tensor], slope: Tensor) -> list[Tensor]:
-        """Return the loss's gradients of the online parameters, in their order: what autograd computes, and no more.
+        """Return the gradients of the loss with respect to the online parameters, in their order.
 
         Args:
-            inputs: what every layer saw (N, units).
-            slope: the loss's gradient of the last layer's values (N, 10).
+            inputs: inputs of every layer (N, units).
+            slope: gradient of the loss with respect to Q (N, 10).
         """
         gradients: list[Tensor] = []
         for index, (weight, _) in reversed(list(enumerate(self.online.weights))):
@@ -182,7 +182,7 @@ class Learner:
 
     @property
     def policy_network(self) -> QNetwork:
-        """The network whose argmax is the policy: the online one or, as an average of it over updates, the target."""
+        """The network whose argmax is the policy: the online one, or the target, its average over updates."""
         return self.target if self.settings.policy_network == "target" else self.online
 
     def policy_arrays(self) -> dict[str, np.ndarray]:
@@ -190,22 +190,22 @@ class Learner:
         return _arrays_of(self.policy_network)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return everything the learner needs to go on, as arrays."""
+        """Return the state as arrays."""
         state = {f"online.{name}": values for name, values in _arrays_of(self.online).items()}
         state |= {f"target.{name}": values for name, values in _arrays_of(self.target).items()}
         state |= {f"adam.{name}": values for name, values in self._adam.state().items()}
         return {**state, "updates": np.array(self.updates)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from what :meth:`state` returned."""
-        load_arrays(self.online, _below(state, "online."))
-        load_arrays(self.target, _below(state, "target."))
-        self._adam.restore(_below(state, "adam."))
+        """Restore what :meth:`state` returned."""
+        load_arrays(self.online, below(state, "online."))
+        load_arrays(self.target, below(state, "target."))
+        self._adam.restore(below(state, "adam."))
         self.updates = int(state["updates"])
 
 
 def _distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
-    """Return observations (N, inputs) with each run of equal ones as one (B, inputs), and which each is (N,)."""
+    """Return observations (N, inputs) with adjacent equal ones merged (B, inputs), and the index of each (N,)."""
     new = np.ones(len(observations), dtype=bool)
     new[1:] = (observations[1:] != observations[:-1]).any(axis=1)
     return observations[new], np.cumsum(new) - 1
@@ -224,5 +224,6 @@ def _arrays_of(network: QNetwork) -> dict[str, np.ndarray]:
     return {name: values.detach().cpu().numpy().copy() for name, values in network.state_dict().items()}
 
 
-def _below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+def below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """Return the arrays whose names begin with a prefix, without it."""
     return {name.removeprefix(prefix): values for name, values in state.items() if name.startswith(prefix)}

@@ -1,4 +1,4 @@
-"""What happened during training, for ``train.json``, curves and checkpoint."""
+"""The history of a training run, for ``train.json``, curves and checkpoint."""
 
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
@@ -23,16 +23,16 @@ class Check:
 
 @dataclass
 class History:
-    """What happened, for ``train.json`` and the curves.
+    """The history of a training run.
 
     Attributes:
-        rewards: reward gathered in each finished episode.
+        rewards: return of each finished episode.
         lengths: steps of each finished episode.
-        exploring: whether each was a short one, for exploring.
+        exploring: whether each was a short exploring one.
         losses: mean loss between checks.
         checks: all checks.
-        labelled: rewards given, by source (:data:`~koopdqn.intent.reward.SOURCES`).
-        agreed: of those, how many the demonstrator agrees with.
+        labelled: number of rewards by source (:data:`~koopdqn.intent.reward.SOURCES`).
+        agreed: number of those that the demonstrator agrees with.
     """
 
     rewards: list[float] = field(default_factory=list)
@@ -44,18 +44,18 @@ class History:
     agreed: np.ndarray = field(default_factory=lambda: np.zeros(len(SOURCES), dtype=np.int64))
 
     def state(self) -> dict[str, Any]:
-        """Return everything held, as JSON values."""
+        """Return the history as JSON values."""
         return {**asdict(self), "labelled": self.labelled.tolist(), "agreed": self.agreed.tolist()}
 
     @classmethod
     def restored(cls, state: dict[str, Any]) -> "History":
-        """Return the history that :meth:`state` described."""
+        """Return the history with these :meth:`state` values."""
         own = deepcopy(state)
         arrays = {name: np.array(own[name], dtype=np.int64) for name in ("labelled", "agreed")}
         return cls(**{**own, **arrays, "checks": [Check(**check) for check in own["checks"]]})
 
     def agreement(self) -> dict[str, float | None]:
-        """Return the share of rewards that agree with the demonstrator, by source; None where none was given."""
+        """Return the share of rewards that the demonstrator agrees with, by source; None without rewards."""
         return {
             name: float(self.agreed[i] / self.labelled[i]) if self.labelled[i] else None
             for i, name in enumerate(SOURCES)
@@ -63,5 +63,5 @@ class History:
         }
 
     def counts(self) -> dict[str, int]:
-        """Return how many rewards came from each source whose rewards can be compared with the demonstrator."""
+        """Return the number of rewards by source, except those by rule."""
         return {name: int(self.labelled[i]) for i, name in enumerate(SOURCES) if name != "rule"}

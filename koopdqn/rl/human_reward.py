@@ -1,4 +1,4 @@
-"""Feedback in training: what is asked and remembered, what answers teach, and what withdrawing them undoes."""
+"""Human feedback in training: asking, remembering, and learning from answers, also when they are withdrawn."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -13,17 +13,17 @@ from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
 from koopdqn.rl.replay_buffer import ReplayBuffer
 
 _TOGETHER = 1024
-# A yes that the model did not expect moves it at least as far around as this.
+# Least reach of the correction by an unexpected yes, in steps.
 _LEAST_REACH_STEPS = 14.0
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How many questions may be asked, and what happens then.
+    """The largest number of questions, and what follows it.
 
     Attributes:
         most: questions; None for no limit.
-        when_spent: stop training, give no reward where the model is not trusted, or ask the scripted oracle.
+        when_spent: stop training, give no rewards outside the trust domain, or ask the scripted oracle.
     """
 
     most: int | None = None
@@ -32,12 +32,11 @@ class Budget:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a question.
+    """The result of a question.
 
     Attributes:
         right: whether the action was right; None if there was no answer.
-        reopened: placed poses (7,) and actions of which other things are known than when they were last tried: their
-            answer was withdrawn, or they are what would have been right.
+        reopened: local poses (7,) and actions to try again: their answer was withdrawn, or they were named as right.
     """
 
     right: bool | None
@@ -45,16 +44,16 @@ class Outcome:
 
 
 class Feedback:
-    """The reward function together with what answers have taught.
+    """The reward function, extended by answers.
 
     Attributes:
         reward: the reward function, extended by the answers so far.
-        answers: what was answered.
-        questions: questions that reached the oracle.
-        substituted: questions that the scripted oracle answered because the budget was spent.
-        recomputed: rewards in the replay buffer that were recomputed.
-        changes: how often what is known has changed since this object was made.
-        step_back: whether wrong actions are stepped back from.
+        answers: the remembered answers.
+        questions: number of questions that reached the oracle.
+        substituted: number of questions that the scripted oracle answered because the budget was spent.
+        recomputed: number of recomputed rewards in the replay buffer.
+        changes: number of changes of the reward function and of remembered answers.
+        step_back: whether wrong actions are undone.
     """
 
     def __init__(
@@ -72,10 +71,10 @@ class Feedback:
         Args:
             reward: the reward function.
             oracle: who answers.
-            settings: what is made of answers.
-            budget: how many questions may be asked.
-            step_back: whether wrong actions are stepped back from.
-            replay: what is stored already and must follow what answers change; None if nothing is stored.
+            settings: how far answers apply.
+            budget: of questions.
+            step_back: whether wrong actions are undone.
+            replay: the buffer whose rewards follow the answers; None for none.
         """
         self.reward = reward
         self.answers = RememberedAnswers(settings)
@@ -84,7 +83,7 @@ class Feedback:
         self.recomputed = 0
         self.changes = 0
         self.step_back = step_back
-        # Memory forgets contradictory answers, but who answers may withdraw them still.
+        # Contradictory answers are forgotten, but may still be withdrawn.
         self._standing: list[int] = []
         self._base = reward
         self._oracle = oracle
@@ -100,15 +99,15 @@ class Feedback:
 
     @property
     def stopped(self) -> bool:
-        """Whether training is over because the budget is spent."""
+        """Whether training ends because the budget is spent."""
         return self.spent and self._budget.when_spent == "stop"
 
     def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
-        """Return what is known without asking, answers included; see :meth:`IntentReward.evaluate_actions`."""
+        """Return the evaluation of :meth:`IntentReward.evaluate_actions`, with remembered answers."""
         evaluation = self.reward.evaluate_actions(poses, steps, starts)
         # What answers say matters only where something is not known anyway.
         rows = np.flatnonzero(~evaluation.known.all(axis=1))
-        places = self.answers.recall(evaluation.placed[rows], evaluation.margin[rows])
+        places = self.answers.recall(evaluation.local[rows], evaluation.margin[rows])
         recalled = (places >= 0) & ~evaluation.known[rows]
         for index, action in np.argwhere(recalled):
             row, place = rows[index], places[index, action]
@@ -118,30 +117,30 @@ class Feedback:
         return evaluation
 
     def contradict(self, point: Array) -> None:
-        """Notice that no action is left from a placed pose (7,); see :meth:`RememberedAnswers.contradict`."""
+        """Handle a local pose (7,) without any action left; see :meth:`RememberedAnswers.contradict`."""
         self.changes += self.answers.contradict(point)
 
     def hopeless_near(self, point: Array) -> bool:
-        """Return whether nothing at all was right near a placed pose (7,)."""
+        """Return whether no action was left near a local pose (7,)."""
         return self.answers.hopeless_near(point, _LEAST_REACH_STEPS * self._base.task.step_m)
 
-    def covers(self, yeses: Array, point: Array, step: int) -> bool:
-        """Return whether a yes at one of poses (M, 7) would extend the trust domain to a pose (7,), all placed."""
+    def extension_contains(self, yeses: Array, point: Array, step: int) -> bool:
+        """Return whether yeses at local poses (M, 7) would extend the trust domain to a local pose (7,)."""
         if not self._settings.extend:
             return False
         trust = self._base.trust.extended(yeses, self._radii(yeses))
-        return bool(trust.vouched(point[None], np.array([step])).answered[0])
+        return bool(trust.assess(point[None], np.array([step])).certified[0])
 
     def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> Outcome:
         """Ask whether an action was right, learn from the answer, and label the action with it.
 
         Args:
             question: about the action.
-            evaluation: of actions; in ``row`` that of the pose asked about.
+            evaluation: of actions, with the pose asked about in ``row``.
             row: of the evaluation.
 
         Raises:
-            PauseRequested: who answers wants to go on another time.
+            PauseRequested: whoever answers pauses the run.
         """
         number, outcome = self._substituted(question) if self.spent else self._asked(question, evaluation, row)
         if outcome.right is not None:
@@ -162,7 +161,7 @@ class Feedback:
         self.questions += 1
         reopened = self._withdraw(answer.undo) if answer.undo else []
         if answer.better is not None:
-            reopened.append((evaluation.placed[row].copy(), answer.better))
+            reopened.append((evaluation.local[row].copy(), answer.better))
         self._learn(number, question, answer, evaluation, row)
         return number, Outcome(answer.right, tuple(reopened))
 
@@ -171,14 +170,14 @@ class Feedback:
         if answer.better is not None and answer.better != question.action:
             said.append((answer.better, True))
         if said:
-            # Where answers teach nothing beyond themselves, no other action need be evaluated anew.
+            # Without extension and memory an answer changes no other evaluation.
             self.changes += self._settings.extend or self._settings.remember_m > 0
             self._standing.append(number)
         for action, right in said:
             margins = evaluation.margin[row]
             margin = float(margins[action])
             expected = margin >= max(0.0, float(margins.max()))
-            here, there = evaluation.placed[row].copy(), evaluation.placed_reached[row, action].copy()
+            here, there = evaluation.local[row].copy(), evaluation.local_reached[row, action].copy()
             self.answers.add(number, here, action, there, right=right, margin=margin, expected=expected)
             if right and self._settings.extend:
                 self._extend()
@@ -195,12 +194,12 @@ class Feedback:
         return np.full(len(poses), self._settings.reach_m)
 
     def _reaches(self, poses: Array) -> Array:
-        """Return how far unexpected yeses at placed poses (M, 7) move the model [m]: not into what was demonstrated."""
+        """Return the reaches (M,) [m] of unexpected yeses at local poses (M, 7): up to the demonstrated domain."""
         least = _LEAST_REACH_STEPS * self._base.task.step_m
         return np.maximum(self._base.trust.gap(poses), least)
 
     def _withdraw(self, count: int) -> list[tuple[Array, int]]:
-        """Withdraw the latest answers; return the placed poses (7,) and actions that they were about."""
+        """Withdraw the latest ``count`` answers; return their local poses (7,) and actions."""
         latest = self._standing[-count:]
         del self._standing[-count:]
         self.changes += 1
@@ -216,14 +215,14 @@ class Feedback:
         return about
 
     def _recompute(self, poses: Array) -> None:
-        """Give stored rewards of the model near placed poses (M, 7) their present values; untrusted ones leave."""
+        """Recompute stored rewards of the model near local poses (M, 7); remove those no longer trusted."""
         replay = self._replay
         if replay is None:
             return
         held = replay.held()
         far = np.maximum(self._radii(poses), self._reaches(poses))
-        placed = self.reward.model.start_frame.placed(held.poses, held.starts)
-        moved = np.linalg.norm(placed[:, None, :3] - poses[None, :, :3], axis=2)
+        local = self.reward.model.start_frame.to_frame(held.poses, held.starts)
+        moved = np.linalg.norm(local[:, None, :3] - poses[None, :, :3], axis=2)
         rows = np.flatnonzero(np.isin(held.sources, BY_MODEL) & (moved <= far).any(axis=1))
         lost = np.zeros(len(replay), dtype=bool)
         for begin in range(0, len(rows), _TOGETHER):
@@ -238,12 +237,12 @@ class Feedback:
             replay.remove(lost)
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return everything held, as arrays."""
+        """Return the state as arrays."""
         counters = {name: np.array(getattr(self, name)) for name in _COUNTERS}
         return {**self.answers.state(), **counters, "standing": np.array(self._standing, dtype=np.int64)}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Hold what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         self.answers.restore(state)
         for name in _COUNTERS:
             setattr(self, name, int(state[name]))

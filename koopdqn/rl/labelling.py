@@ -1,4 +1,4 @@
-"""Which actions of a state are labelled, and among which an episode chooses."""
+"""Labelling strategies: which actions of a state are labelled, and among which an episode chooses."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,21 +7,21 @@ import numpy as np
 
 from koopdqn.intent.reward import ASKED, BY_MODEL, CERTIFIED, RULE, TRUSTED, ActionEvaluation
 from koopdqn.pose import Array
-from koopdqn.rl.labels import Labelled
+from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.reachability import Motion
+from koopdqn.tasks.workcell import Motion
 
 Motions = dict[tuple[int, int], Motion]
-"""What becomes of the arm, by the index of the episode and the action."""
+"""Motions of the arm, by the index of the episode and the action."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Among which actions an episode chooses.
+    """The actions among which an episode chooses.
 
     Attributes:
-        allowed: (10,) booleans; none is true where there is nothing left to try.
-        ranking: (10,) what decides among them, in place of Q and of chance; None for these.
+        allowed: (10,) booleans; all false if no action is left.
+        ranking: (10,) values to choose by in place of Q and of ε; None for those.
         ask: whether the oracle is asked even where the reward is known.
     """
 
@@ -31,35 +31,35 @@ class Choice:
 
 
 class Labelling(Protocol):
-    """Which actions of a state are labelled, and which are tried."""
+    """A strategy of labelling and choosing actions."""
 
     def label(self, env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled | None, Motions]:
-        """Label actions from where all episodes are, before one of them is tried; None for none of them."""
+        """Label actions at the poses of all episodes before one is tried; None if none is labelled."""
 
     def choice(self, env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
-        """Return among which actions an episode chooses."""
+        """Return the actions among which an episode chooses."""
 
 
 class LabelChosen:
-    """The paper's: an action is labelled when it is tried, and any action not tried yet may be."""
+    """The paper's strategy: an action is labelled when it is tried; any untried action may be chosen."""
 
     def label(self, env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled | None, Motions]:
         """Label nothing."""
         return None, {}
 
     def choice(self, env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
-        """Return all actions that were not tried."""
+        """Return all untried actions."""
         return Choice(~env.episodes.tried[index])
 
 
 class LabelAllKnown:
-    """Every action whose reward is known without asking is labelled, and a right one is tried.
+    """Labels every action whose reward is known without asking, and tries a right one.
 
-    That is §3.3's stepping back carried out at once: "know from that state what are the right and wrong actions".
+    This is §3.3's stepping back done at once: "know from that state what are the right and wrong actions".
     """
 
     def label(self, env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled | None, Motions]:
-        """Label all actions whose reward is known; those that seem right are tried on the arm."""
+        """Label all actions whose reward is known; right ones are checked for reachability first."""
         episodes = env.episodes
         mask = evaluation.known & ~episodes.stored
         rows, actions = np.nonzero(mask & (evaluation.reward >= 0))
@@ -73,23 +73,23 @@ class LabelAllKnown:
         return Labelled(evaluation, rows, actions), motions
 
     def choice(self, env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
-        """Return the actions known to be right; where there is none, those to ask about, the likeliest first."""
+        """Return the actions known to be right; if there are none, those to ask about, the likeliest first."""
         untried = ~env.episodes.tried[index]
         right = untried & evaluation.known[index] & (evaluation.reward[index] >= 0)
         if right.any():
             return Choice(right)
         if _blocked(env, evaluation, index):
             return Choice(np.zeros_like(right))
-        # All that neither rules nor demonstrations nor answers about it exclude.
+        # Actions not excluded by rules, demonstrations or their own answers.
         unsure = (ASKED,) if env.put_off.on else (ASKED, CERTIFIED)
         return Choice(untried & np.isin(evaluation.source[index], unsure), evaluation.margin[index], ask=True)
 
 
 def _blocked(env: VectorEnv, evaluation: ActionEvaluation, index: int) -> bool:
-    """Return whether no person would know better: the arm cannot do what was thought right.
+    """Return whether asking is useless because the arm cannot carry out the right action.
 
-    That is so where demonstrations vouch for it, and near where a person was asked about all else in vain.
+    That is so where demonstrations are trusted, and near poses where all other actions were asked about in vain.
     """
     source, right = evaluation.source[index], evaluation.margin[index] >= 0
     refused = env.episodes.tried[index] & right & np.isin(source, (RULE, *BY_MODEL))
-    return bool(refused.any() and ((source == TRUSTED).any() or env.feedback.hopeless_near(evaluation.placed[index])))
+    return bool(refused.any() and ((source == TRUSTED).any() or env.feedback.hopeless_near(evaluation.local[index])))

@@ -1,4 +1,4 @@
-"""The Q-network: from a pose to an observation, and from that to ten values, one for each action."""
+"""The Q-network: observations of poses, and the values of the ten actions."""
 
 from itertools import pairwise
 from typing import cast
@@ -17,21 +17,21 @@ from koopdqn.tasks.task import Task
 _POSITION, _ROTATION = 3, 3
 # Observations where orientation is held: position and the two distances.
 _HELD = 5
-# Observations that hardly vary (a held orientation's distance) must not be blown up.
+# Observations that hardly vary (a held orientation's distance) are not scaled up further.
 _LEAST_SPREAD = 0.02
 _ROOT_TWO = float(np.sqrt(2.0))
 
 
 class Buffers:
-    """Memory that is used again from one update to the next: new memory costs more than what is computed in it."""
+    """Memory reused from one update to the next: allocating costs more than the arithmetic."""
 
     def __init__(self, device: torch.device) -> None:
-        """Begin with none, on a device."""
+        """Begin without arrays, on a device."""
         self._device = device
         self._held: dict[tuple[str, int], Tensor] = {}
 
     def of(self, name: str, count: int, width: int) -> Tensor:
-        """Return an array (count, width) of a name, with anything in it; the same memory at every call."""
+        """Return the uninitialised array (count, width) of a name; the same memory at every call."""
         held = self._held.get((name, width))
         if held is None or len(held) < count:
             held = self._held[name, width] = torch.empty(count + count // 4, width, device=self._device)
@@ -41,8 +41,8 @@ class Buffers:
 class QNetwork(nn.Module):
     """A multilayer perceptron with ReLU on normalised observations, and on random Fourier features of the position.
 
-    Which action is right changes every few millimetres; the features (Rahimi & Recht 2007) let a small
-    network follow that. Their frequencies are drawn once and not learned.
+    The right action changes every few millimetres; the features (Rahimi & Recht 2007) let a small network follow that.
+    Their frequencies are random and not learned.
     """
 
     mean: Tensor
@@ -70,26 +70,22 @@ class QNetwork(nn.Module):
         self.device = torch.device(device)
         self.to(self.device)
         self._memory = Buffers(self.device)
-        # Held apart, as to look them up in the modules takes as long as a small layer.
+        # Kept apart: looking them up in the modules takes as long as a small layer.
         self.weights = [(layer.weight, layer.bias) for layer in self.layers if isinstance(layer, nn.Linear)]
 
     def normalise_to(self, observations: NDArray[np.float32]) -> None:
-        """Take mean and spread of the inputs from observations (N, inputs)."""
+        """Set mean and spread of the inputs from observations (N, inputs)."""
         self.mean.copy_(torch.from_numpy(observations.mean(axis=0)))
         self.spread.copy_(torch.from_numpy(np.maximum(observations.std(axis=0), _LEAST_SPREAD)))
 
     def forward(self, observations: Tensor) -> Tensor:
         """Return the values Q (N, 10) of observations (N, inputs)."""
-        return self.of_features(self.features(observations))
-
-    def of_features(self, features: Tensor) -> Tensor:
-        """Return the values Q (N, 10) of what :meth:`features` makes of observations (N, inputs + features)."""
-        return self.activations(features)[-1]
+        return self.activations(self.features(observations))[-1]
 
     def activations(self, features: Tensor, buffers: Buffers | None = None) -> list[Tensor]:
-        """Return what each layer makes (N, units) of what the first one sees (N, inputs + features), Q the last.
+        """Return the outputs (N, units) of all layers for :meth:`features` (N, inputs + features); the last is Q.
 
-        With buffers the arrays are theirs, good until the next pass through them, and there are no gradients.
+        With buffers the arrays are valid until the buffers' next use, and there are no gradients.
         """
         values, made = features, []
         for index, (weight, bias) in enumerate(self.weights):
@@ -104,9 +100,9 @@ class QNetwork(nn.Module):
         return made
 
     def features(self, observations: Tensor, buffers: Buffers | None = None) -> Tensor:
-        """Return what the first layer sees (N, inputs + features) of observations (N, inputs).
+        """Return the first layer's inputs (N, inputs + features) for observations (N, inputs).
 
-        With buffers the array is theirs, good until they are asked for the next features.
+        With buffers the array is valid until the buffers' next use.
         """
         buffers = Buffers(self.device) if buffers is None else buffers
         count, inputs = observations.shape
@@ -132,7 +128,7 @@ def _drawn(values: NDArray[np.float64]) -> Tensor:
 
 def linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
     """Return a layer whose weights (He et al. 2015) come from ``rng``, not from global random state."""
-    # torch draws weights of its own first; its global random state stays as it was.
+    # torch draws weights of its own first; the fork keeps its global random state.
     with torch.random.fork_rng(devices=()):
         layer = nn.Linear(inputs, outputs)
     with torch.no_grad():
@@ -155,10 +151,10 @@ def size(task: Task) -> int:
 
 
 def observe(poses: Array, task: Task) -> NDArray[np.float32]:
-    """Return observations (N, 5) or (N, 8) of poses (N, 7), told as from the task's nominal start.
+    """Return observations (N, 5), or (N, 8) with orientation learned, of poses (N, 7) in the start frame.
 
-    Position [m], with orientation learned also the rotation vector from the goal's orientation [rad], then
-    the distances to the goal in position [m] and rotation [rad].
+    Position [m], with orientation learned the rotation vector from the goal's orientation [rad], then the distances to
+    the goal in position [m] and rotation [rad].
     """
     columns = [poses[:, pose.POSITION]]
     if task.orientation == "learned":

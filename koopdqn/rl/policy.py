@@ -25,8 +25,8 @@ class Policy:
 
     Attributes:
         network: the Q-network.
-        task: gives the goal that observations refer to.
-        frame: in which poses are observed.
+        task: gives the goal in observations.
+        frame: the start frame of observations.
     """
 
     network: QNetwork
@@ -38,22 +38,22 @@ class Policy:
         return np.asarray(self.values(poses, starts).argmax(axis=1))
 
     def values(self, poses: Array, starts: Array) -> np.ndarray:
-        """Return Q (N, 10) at poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        return self.network.values(observe(self.frame.placed(poses, starts), self.task))
+        """Return the values Q (N, 10) at poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        return self.network.values(observe(self.frame.to_frame(poses, starts), self.task))
 
 
 def write_policy(
     path: Path, arrays: dict[str, np.ndarray], network: NetworkSettings, frame: StartFrame, about: dict[str, Any]
 ) -> None:
-    """Write a network's arrays with what rebuilds the policy and ``about``: what it was made with and from."""
+    """Write a policy: the network's arrays and settings, its frame, and further metadata ``about``."""
     write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network), "frame": frame.described()}))
 
 
 def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
-    """Read a policy for a task and what it says about itself.
+    """Read a policy for a task, and its metadata.
 
     Raises:
-        BadInputError: the file is missing, damaged, of another task, or does not fit its own settings.
+        BadInputError: the file is missing, damaged, of another task, or its arrays do not fit its settings.
     """
     artifact = read_artifact(path, KIND)
     about = dict(artifact.about)

@@ -1,4 +1,4 @@
-"""Questions about attempts: how they are put, and those put off to the end of their episode."""
+"""Questions about attempts, and those put off to the end of their episode."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from koopdqn.intent.reward import ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Place, Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.labels import Labelled
+from koopdqn.rl.replay_buffer import Labelled
 
 
 @dataclass(frozen=True)
 class OpenAttempt:
-    """An action tried in an episode that has no label yet.
+    """An attempted action without a label.
 
     Attributes:
         episode: number of the episode.
-        step: steps made in it before.
+        step: steps made before in the episode.
         pose: (7,) before the action.
         start: (7,) where the episode began.
         action: index in Table 1.
@@ -34,11 +34,11 @@ class OpenAttempt:
 
 @dataclass(frozen=True)
 class Asking:
-    """When questions are put to the oracle.
+    """When the oracle is asked.
 
     Attributes:
-        when: where they arise, or together at the end of their episode.
-        most: questions put off in an episode, which ends at so many.
+        when: at once, or together at the end of the episode.
+        most: number of questions put off at which an episode ends.
     """
 
     when: Literal["at_once", "episode"] = "at_once"
@@ -46,21 +46,20 @@ class Asking:
 
 
 class Ask(Protocol):
-    """Asks, and labels the action in a row of an evaluation; returns whether there was an answer."""
+    """A function that asks a question and labels the action in a row of an evaluation with the answer."""
 
     def __call__(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
-        """Ask."""
+        """Ask; return whether there was an answer."""
 
 
 class PutOffQuestions:
-    """The attempts of N episodes that run side by side whose questions are put off.
+    """The attempts of N parallel episodes whose questions are put off.
 
-    Attempts at places where a yes to an earlier question of the episode would extend the trust domain are kept too, but
-    count as no further questions.
+    An attempt that a yes to an earlier question of its episode would certify is kept, but not counted as a question.
     """
 
     def __init__(self, asking: Asking, feedback: Feedback, count: int) -> None:
-        """Begin with nothing for each of ``count`` episodes."""
+        """Begin without attempts for each of ``count`` episodes."""
         self._asking = asking
         self._feedback = feedback
         self._attempts: list[list[OpenAttempt]] = [[] for _ in range(count)]
@@ -68,25 +67,25 @@ class PutOffQuestions:
 
     @property
     def on(self) -> bool:
-        """Whether questions are put off now: with the budget spent there is no person to spare."""
+        """Whether questions are put off; with the budget spent they are not."""
         return self._asking.when == "episode" and not self._feedback.spent
 
     def add(self, index: int, attempt: OpenAttempt) -> bool:
-        """Keep an attempt of episode ``index``; return whether that was its last question."""
+        """Keep an attempt of episode ``index``; return whether the episode has its most questions."""
         self._attempts[index].append(attempt)
         questions = self._questions[index]
         here = _placed([attempt], self._feedback)[0]
-        if not self._feedback.covers(_poses(questions), here, attempt.step):
+        if not self._feedback.extension_contains(_poses(questions), here, attempt.step):
             questions.append(here)
         return len(questions) >= self._asking.most
 
     def take(self, index: int) -> list[OpenAttempt]:
-        """Return the attempts of episode ``index``, oldest first, and keep them no longer."""
+        """Return and remove the attempts of episode ``index``, oldest first."""
         taken, self._attempts[index], self._questions[index] = self._attempts[index], [], []
         return taken
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return everything held, as arrays over attempts."""
+        """Return the state as arrays over attempts."""
         held = [(index, attempt) for index, attempts in enumerate(self._attempts) for attempt in attempts]
         return {
             "rows": np.array([index for index, _ in held], dtype=np.int64),
@@ -98,7 +97,7 @@ class PutOffQuestions:
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Hold what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         for index in range(len(self._attempts)):
             self.take(index)
         columns = (state[name].tolist() for name in ("rows", "episodes", "steps", "actions"))
@@ -113,13 +112,13 @@ def question_about(
     """Return the question whether an attempt was right.
 
     Args:
-        attempt: what is asked about.
-        reward: says why it must be asked.
-        evaluation: of the actions from the attempt's pose, in its ``row``.
+        attempt: the attempt.
+        reward: gives the reason for asking.
+        evaluation: of actions, with the attempt's pose in ``row``.
         row: of the evaluation.
-        place: where the question stands among those of its episode; None if it is asked at once.
+        place: of the question among those of its episode; None if it is asked at once.
     """
-    placed, trust = evaluation.placed_reached[row, attempt.action], reward.trust
+    local, trust = evaluation.local_reached[row, attempt.action], reward.trust
     return Question(
         episode=attempt.episode,
         step=attempt.step,
@@ -128,26 +127,26 @@ def question_about(
         action=attempt.action,
         reached=evaluation.reached[row, attempt.action].copy(),
         predicted=evaluation.predicted[row].copy(),
-        reason=trust.outside(placed, attempt.step + 1) or trust.outside(evaluation.placed[row], attempt.step),
+        reason=trust.outside(local, attempt.step + 1) or trust.outside(evaluation.local[row], attempt.step),
         candidates=evaluation.reached[row].copy(),
         place=place,
     )
 
 
 def answered(attempts: list[OpenAttempt], feedback: Feedback, ask: Ask, limit: int) -> Iterator[Labelled]:
-    """Ask about an episode's attempts in their order, and yield the label of each as soon as it is known.
+    """Ask about an episode's attempts in order, and yield each as soon as it is labelled.
 
-    What an earlier answer settles already is not asked. What follows a wrong action is left out where wrong actions
-    are undone: only that action led there.
+    Attempts that an earlier answer has labelled are not asked about. Where wrong actions are undone, attempts after a
+    wrong one are dropped, since only it led there.
 
     Args:
         attempts: of one episode, oldest first.
-        feedback: says what is known.
-        ask: puts a question to the oracle.
+        feedback: evaluates actions.
+        ask: asks the oracle.
         limit: steps after which the episode is truncated.
 
     Raises:
-        PauseRequested: who answers wants to go on another time.
+        PauseRequested: whoever answers pauses the run.
     """
     if not attempts:
         return
@@ -177,17 +176,17 @@ def _evaluated(attempts: list[OpenAttempt], feedback: Feedback) -> ActionEvaluat
 
 
 def _count(attempts: list[OpenAttempt], known: np.ndarray, feedback: Feedback) -> int:
-    """Return how many of the attempts will be asked about if all answers are yes, given what is known (N, 10)."""
+    """Return how many attempts will be asked about if all answers are yes, given ``known`` (N, 10)."""
     questions: list[Array] = []
     for row, (attempt, here) in enumerate(zip(attempts, _placed(attempts, feedback), strict=True)):
-        if not known[row, attempt.action] and not feedback.covers(_poses(questions), here, attempt.step):
+        if not known[row, attempt.action] and not feedback.extension_contains(_poses(questions), here, attempt.step):
             questions.append(here)
     return len(questions)
 
 
 def _placed(attempts: list[OpenAttempt], feedback: Feedback) -> Array:
     poses, starts = (_poses([getattr(attempt, name) for attempt in attempts]) for name in ("pose", "start"))
-    return feedback.reward.model.start_frame.placed(poses, starts)
+    return feedback.reward.model.start_frame.to_frame(poses, starts)
 
 
 def _poses(poses: list[Array]) -> Array:

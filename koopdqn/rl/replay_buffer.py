@@ -1,11 +1,16 @@
-"""The replay buffer: experience stored and drawn at random (§3.1)."""
+"""The replay buffer and its transitions, made from labelled actions (§3.1)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koopdqn.tasks.actions import COUNT
+from koopdqn.intent.reward import RULE, SOURCES, ActionEvaluation
+from koopdqn.pose import Array
+from koopdqn.rl.history import History
+from koopdqn.rl.network import observe
+from koopdqn.tasks.actions import COUNT, within_tolerance
+from koopdqn.tasks.task import Task, demonstrator_next_poses
 
 
 @dataclass(frozen=True)
@@ -19,12 +24,12 @@ class Transitions:
         next_observations: (N, inputs) observations after the actions.
         terminated: (N,) whether the goal was reached.
         truncated: (N,) whether the episode was cut there; the value beyond still counts.
-        undone: (N,) whether the action was wrong and stepped back from.
+        undone: (N,) whether the action was wrong and undone.
         poses: (N, 7) before the actions.
         starts: (N, 7) where their episodes began.
-        steps: (N,) steps of the episode before them.
-        sources: (N,) where the rewards came from (:data:`koopdqn.intent.reward.SOURCES`).
-        answers: (N,) number of the answer that the reward rests on, or −1.
+        steps: (N,) steps made before in the episodes.
+        sources: (N,) sources of the rewards (:data:`koopdqn.intent.reward.SOURCES`).
+        answers: (N,) number of the answer that the reward comes from, or −1.
     """
 
     observations: NDArray[np.float32]
@@ -44,12 +49,74 @@ class Transitions:
 FIELDS = tuple(Transitions.__dataclass_fields__)
 
 
+@dataclass(frozen=True)
+class Labelled:
+    """M actions with their rewards.
+
+    Attributes:
+        evaluation: of the actions from N poses; gives the rewards.
+        rows: (M,) indices of the poses.
+        actions: (M,) indices in Table 1.
+        truncated: whether the episode was truncated after them.
+    """
+
+    evaluation: ActionEvaluation
+    rows: np.ndarray
+    actions: np.ndarray
+    truncated: bool = False
+
+    @classmethod
+    def one(cls, evaluation: ActionEvaluation, row: int, action: int, *, truncated: bool = False) -> "Labelled":
+        """Return one action from the pose in a row."""
+        return cls(evaluation, np.array([row]), np.array([action]), truncated)
+
+    @property
+    def rewards(self) -> Array:
+        """Their rewards (M,)."""
+        return np.asarray(self.evaluation.reward[self.rows, self.actions])
+
+    def transitions(self, task: Task, *, step_back: bool) -> Transitions:
+        """Return the transitions of a task in which wrong actions are undone, or are not."""
+        evaluation, each = self.evaluation, (self.rows, self.actions)
+        wrong = self.rewards < 0
+        return Transitions(
+            observe(evaluation.local[self.rows], task),
+            self.actions,
+            self.rewards.astype(np.float32),
+            observe(evaluation.local_reached[each], task),
+            terminated=evaluation.at_goal[each] & ~wrong,
+            truncated=np.full(len(self.rows), self.truncated),
+            undone=wrong & step_back,
+            poses=evaluation.poses[self.rows],
+            starts=evaluation.starts[self.rows],
+            steps=evaluation.steps[self.rows],
+            sources=evaluation.source[each],
+            answers=evaluation.answer[each],
+        )
+
+    def count(self, history: History, task: Task) -> None:
+        """Count the rewards in a history, by source, and those that the demonstrator agrees with."""
+        evaluation, each = self.evaluation, (self.rows, self.actions)
+        sources = evaluation.source[each]
+        counted = sources != RULE
+        if not counted.any():
+            return
+        # Once for each state, which has up to ten actions.
+        states, state = np.unique(self.rows[counted], return_inverse=True)
+        wished = demonstrator_next_poses(task, evaluation.poses[states], evaluation.starts[states])[state]
+        agrees = within_tolerance(evaluation.reached[each][counted], wished, task)
+        same = agrees == (self.rewards[counted] >= 0)
+        for source in range(RULE + 1, len(SOURCES)):
+            history.labelled[source] += int((sources == source).sum())
+            history.agreed[source] += int(same[sources[counted] == source].sum())
+
+
 class ReplayBuffer:
     """A ring of transitions.
 
     Attributes:
-        capacity: how many are kept.
-        added: how many were added and not removed again, those that fell out of the ring included.
+        capacity: largest number of transitions held.
+        added: number of transitions added and not removed, overwritten ones included.
     """
 
     def __init__(self, capacity: int, inputs: int) -> None:
@@ -72,11 +139,11 @@ class ReplayBuffer:
         }
 
     def __len__(self) -> int:
-        """Return how many transitions are held."""
+        """Return the number of transitions held."""
         return min(self.added, self.capacity)
 
     def add(self, transitions: Transitions) -> None:
-        """Add transitions, in place of the oldest when the ring is full."""
+        """Add transitions; a full ring overwrites the oldest."""
         count = len(transitions.actions)
         index = (self.added + np.arange(count)) % self.capacity
         for name in FIELDS:
@@ -84,53 +151,53 @@ class ReplayBuffer:
         self.added += count
 
     def sample(self, rng: np.random.Generator, count: int) -> Transitions:
-        """Return ``count`` transitions drawn evenly, with replacement."""
+        """Return ``count`` transitions drawn uniformly, with replacement."""
         return self.at(self.draw(rng, count))
 
     def sample_states(self, rng: np.random.Generator, count: int) -> Transitions:
-        """Return everything tried from ``count`` states, drawn with replacement by how much was tried there.
+        """Return all transitions of ``count`` states, drawn with replacement in proportion to their transitions.
 
-        What was tried from a state and stored at the same time lies together, in the buffer as in what is returned.
+        Transitions of a state that were stored together are adjacent, in the buffer as in the result.
         """
         held = len(self)
         drawn = self.draw(rng, count)
         width = min(held, 2 * COUNT - 1)
         near = (drawn[:, None] + np.arange(width) - width // 2) % held
         poses = self._arrays["poses"]
-        # Few poses share a coordinate without being equal, and one is read faster than seven.
+        # Comparing one coordinate first is faster: few poses share it without being equal.
         alike = poses[:, 0].take(near) == poses[drawn, 0][:, None]
         rows, states = near[alike], np.repeat(drawn, alike.sum(axis=1))
         same = (poses.take(rows, axis=0) == poses.take(states, axis=0)).all(axis=1)
         return self.at(rows if same.all() else rows[same])
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        """Return the rows (count,) of transitions drawn evenly, with replacement."""
+        """Return the rows (count,) of transitions drawn uniformly, with replacement."""
         return rng.integers(len(self), size=count)
 
     def at(self, index: np.ndarray) -> Transitions:
         """Return the transitions in rows (M,)."""
-        # Half the time that indexing takes.
+        # Twice as fast as indexing.
         return Transitions(**{name: self._arrays[name].take(index, axis=0) for name in FIELDS})
 
     def held(self) -> Transitions:
-        """Return a copy of everything held."""
+        """Return a copy of all transitions."""
         return Transitions(**{name: values[: len(self)].copy() for name, values in self._arrays.items()})
 
     def revalue(self, rows: np.ndarray, rewards: NDArray[np.float32], at_goal: np.ndarray, *, step_back: bool) -> None:
-        """Give transitions in ``rows`` (M,) other rewards (M,).
+        """Set new rewards (M,) of the transitions in ``rows`` (M,).
 
         Args:
-            rows: which.
+            rows: indices of the transitions.
             rewards: their new rewards.
-            at_goal: (M,) which reach the goal.
-            step_back: whether wrong actions are stepped back from.
+            at_goal: (M,) whether they reach the goal.
+            step_back: whether wrong actions are undone.
         """
         self._arrays["rewards"][rows] = rewards
         self._arrays["terminated"][rows] = at_goal & (rewards >= 0)
         self._arrays["undone"][rows] = (rewards < 0) & step_back
 
     def remove(self, mask: np.ndarray) -> None:
-        """Remove the transitions (len,) that a mask says, keeping the order of the others."""
+        """Remove the transitions selected by a mask (len,), keeping the order of the others."""
         first = self.added % self.capacity if self.added > self.capacity else 0
         order = np.roll(np.arange(len(self)), -first)
         kept = order[~mask[order]]

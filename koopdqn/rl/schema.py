@@ -14,34 +14,32 @@ class CheckReport(ReportModel):
     episodes: NonNegativeInt = Field(description="episodes finished so far")
     success_rate: Fraction = Field(description="share of the starts from which the policy succeeds")
     intent_distance: NonNegative = Field(
-        description="mean distance of the policy's paths from the nearest pose of the intent's own roll-out from the"
-        " same start, in steps of position or turns in place, whichever is more"
+        description="mean distance of the policy's paths from the nearest pose of the intent's roll-out from the same"
+        " start, in steps of position or turns in place, whichever is larger"
     )
     failures: dict[str, Count] = Field(description="failed starts by cause; a cause that did not occur is absent")
 
 
 class RewardAgreement(ReportModel):
-    """Share of the rewards whose sign the task's demonstrator gives too; null where no such reward was given."""
+    """Share of the rewards whose sign is the demonstrator's too; null without such rewards."""
 
-    trusted: Fraction | None = Field(description="of the intent model's rewards where demonstrations vouch for it")
-    certified: Fraction | None = Field(
-        description="of its rewards where only an answer nearby vouches for it: what a yes certifies"
-    )
+    trusted: Fraction | None = Field(description="of the intent model's rewards where demonstrations support it")
+    certified: Fraction | None = Field(description="of its rewards where only a nearby answer certifies it")
     remembered: Fraction | None = Field(description="of the rewards from remembered answers")
     asked: Fraction | None = Field(description="of the rewards from asking")
 
 
 class RewardsGiven(ReportModel):
-    """Rewards by source; what the rules alone decide is not among them."""
+    """Number of rewards by source, except those by rule."""
 
-    trusted: NonNegativeInt = Field(description="from the intent model where demonstrations vouch for it")
-    certified: NonNegativeInt = Field(description="from the intent model where only an answer nearby vouches for it")
+    trusted: NonNegativeInt = Field(description="from the intent model where demonstrations support it")
+    certified: NonNegativeInt = Field(description="from the intent model where only a nearby answer certifies it")
     remembered: NonNegativeInt = Field(description="from remembered answers")
     asked: NonNegativeInt = Field(description="from asking")
 
 
 class MadeFrom(ReportModel):
-    """What the policy was made from."""
+    """The inputs of the training."""
 
     demonstrations: Sha256 = Field(description="SHA-256 of the demonstrations' content")
     intent: Sha256 = Field(description="SHA-256 of the intent's arrays")
@@ -54,9 +52,9 @@ class TrainReport(ReportModel):
     seed: NonNegativeInt = Field(description="of the run")
     agent: Name = Field(description="name of the agent's config option")
     intent: Name = Field(description="name of the intent's config option")
-    learned: bool = Field(description="whether enough checks in a row were passed and nothing was left to gain")
+    learned: bool = Field(description="whether enough checks in a row were passed and quality stopped improving")
     learned_at_env_steps: NonNegativeInt | None = Field(description="actions tried by then; null if not learned")
-    seconds: NonNegative = Field(description="time the run took, all its parts together [s]")
+    seconds: NonNegative = Field(description="duration of the run, all parts together [s]")
     episodes: NonNegativeInt = Field(description="number E of finished episodes")
     env_steps: NonNegativeInt = Field(description="actions tried: transitions stored, undone ones included")
     updates: NonNegativeInt = Field(description="updates of the network")
@@ -66,13 +64,13 @@ class TrainReport(ReportModel):
         description="questions that the scripted oracle answered after that (`oracle.when_spent=scripted`)"
     )
     contradictions: NonNegativeInt = Field(
-        description="how often remembered answers left no action that could be right, and were forgotten"
+        description="how often remembered answers left no action that could be right and were forgotten"
     )
     rewards_recomputed: NonNegativeInt = Field(
         description="rewards in the replay buffer recomputed because an answer changed the intent model"
     )
     trusted_fraction: Fraction | None = Field(
-        description="share of rewards_given that came from the intent model, trusted or certified; null if none did"
+        description="share of rewards_given from the intent model, trusted or certified; null if there are none"
     )
     reward_agreement: RewardAgreement = Field(description="agreement with the demonstrator by source")
     rewards_given: RewardsGiven = Field(description="number of rewards by source")
@@ -82,9 +80,9 @@ class TrainReport(ReportModel):
     best_success_rate: Fraction = Field(
         description="success rate of the best check, of equal ones the nearest to the intent; 0 before the first"
     )
-    best_update: NonNegativeInt = Field(description="updates at that check, whose network the policy is")
-    step_limit: Count = Field(description="steps after which an episode is cut")
+    best_update: NonNegativeInt = Field(description="updates before that check, whose network is the policy")
+    step_limit: Count = Field(description="step limit of an episode")
     checks: list[CheckReport] = Field(description="(C,) every check, in order")
     threads: Count = Field(description="threads of BLAS and torch")
     device: str = Field(default="cpu", description="where the networks computed: `cpu`, or the name of the GPU")
-    made_from: MadeFrom = Field(description="what the policy was made from")
+    made_from: MadeFrom = Field(description="inputs of the training")

@@ -1,10 +1,14 @@
-"""Settings of agent and training: the network, its learning, exploring, and when training stops."""
+"""Settings of agent and training, and whether this machine can run them."""
 
+import os
+from itertools import pairwise
 from typing import Literal
 
 from pydantic import Field, model_validator
 
+from koopdqn.errors import BadInputError
 from koopdqn.settings import Count, Counts, Fraction, Name, NonNegativeInt, Settings
+from koopdqn.tasks.actions import COUNT
 
 
 class NetworkSettings(Settings):
@@ -26,31 +30,31 @@ class AgentSettings(Settings):
     name: Name
     network: NetworkSettings
     device: Literal["cpu", "cuda"] = Field(
-        default="cpu", description="where the networks compute; the same bytes again only on the CPU"
+        default="cpu", description="device of the networks; only the CPU is reproducible to the byte"
     )
     gamma: float = Field(ge=0, lt=1, description="discount γ")
     double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
     learning_rate: float = Field(gt=0, le=1)
     drawn: Literal["states", "transitions"] = Field(
-        description="what an update draws from the replay buffer: states with all that was tried from them,"
-        " or single transitions"
+        description="what an update draws from the replay buffer: states with all their transitions, or single"
+        " transitions"
     )
-    batch: Count = Field(description="how many of them")
+    batch: Count = Field(description="number of states or transitions drawn")
     replay: Count = Field(description="transitions kept")
-    warm_up: Count = Field(description="transitions gathered before the first update")
-    target_rate: float = Field(gt=0, le=1, description="share of the way the target network moves at a target update")
+    warm_up: Count = Field(description="transitions stored before the first update")
+    target_rate: float = Field(gt=0, le=1, description="rate τ of a target update: 1 copies the online network")
     target_every: Count = Field(description="updates between two target updates")
     policy_network: Literal["online", "target"] = Field(
-        description="whose argmax is the policy: the online network, or the target as its average over many updates"
+        description="whose argmax is the policy: the online network, or the target, its average over many updates"
     )
-    episodes_at_once: Count = Field(description="episodes that run side by side")
-    rounds_per_update: Count = Field(description="steps of all episodes between two times of updating")
-    updates_per_round: Count = Field(description="updates at each such time")
+    episodes_at_once: Count = Field(description="parallel episodes")
+    rounds_per_update: Count = Field(description="steps of all episodes between updates")
+    updates_per_round: Count = Field(description="number of updates then")
     trials: Literal["all", "chosen"] = Field(
-        description="in a state, try every action whose reward is known without asking, or only the chosen one"
+        description="attempts in a state: every action whose reward is known without asking, or only the chosen one"
     )
     step_back: bool = Field(description="undo a wrong action and try another (§3.3)")
-    bootstrap_undone: bool = Field(description="let an undone wrong action's target look past it")
+    bootstrap_undone: bool = Field(description="let the target of an undone action bootstrap")
     epsilon_start: Fraction
     epsilon_end: Fraction
     epsilon_steps: Count = Field(description="actions over which ε falls")
@@ -58,16 +62,14 @@ class AgentSettings(Settings):
     exploring_in_region: Fraction = Field(
         description="share of those that begin in and around the start region; the others begin along a demonstration"
     )
-    exploring_scale: float = Field(
-        ge=1, le=10, description="how many times wider than the start region all but the latter may begin"
-    )
+    exploring_scale: float = Field(ge=1, le=10, description="scale of the start region for all but the latter")
     exploring_spread_m: float = Field(
-        gt=0, le=0.5, description="how far beside it the latter begin, a standard deviation [m]"
+        gt=0, le=0.5, description="standard deviation of the latter's offset from the demonstration [m]"
     )
     exploring_spread_rad: float = Field(
-        gt=0, le=1, description="how far their turn is ahead or behind, a standard deviation [rad]"
+        gt=0, le=1, description="standard deviation of their turn ahead or behind [rad]"
     )
-    exploring_steps: int = Field(ge=1, le=1_000_000, description="steps after which such an episode is cut")
+    exploring_steps: int = Field(ge=1, le=1_000_000, description="step limit of exploring episodes")
 
     @model_validator(mode="after")
     def _check_trials(self) -> "AgentSettings":
@@ -82,10 +84,10 @@ class AgentSettings(Settings):
 
 
 class TrainSettings(Settings):
-    """When training checks itself, when it stops. Limits count steps, never seconds."""
+    """When the policy is checked and when training stops. Limits count steps, never seconds."""
 
     stop: Literal["learned", "limit"] = Field(description="stop when learned, or only at a limit")
-    extend: float = Field(ge=1, description="with stop=limit: go on to this many times the actions it took to learn")
+    extend: float = Field(ge=1, description="with stop=limit: go on to this multiple of the actions it took to learn")
     max_steps: Count = Field(description="most actions tried")
     max_episodes: Count = Field(description="most episodes finished")
     check_every: Count = Field(description="updates between two checks")
@@ -93,10 +95,10 @@ class TrainSettings(Settings):
     check_seed: int = Field(ge=0, description="of the checks' starts")
     check_success: Fraction = Field(description="success rate that passes a check")
     checks_to_learn: Count = Field(
-        description="passed checks in a row that count as learned, none nearer to the intent's own roll-out than the"
-        " first of them by more than the share `gain`"
+        description="passed checks in a row after which the task is learned, if none is nearer to the intent's roll-out"
+        " than the first by more than the share `gain`"
     )
-    gain: Fraction = Field(description="share by which a nearer policy counts as still improving")
+    gain: Fraction = Field(description="least relative gain in distance that counts as improvement")
     step_limit_factor: float = Field(
         ge=3, le=1000, description="step limit of an episode in steps of the longest demonstration"
     )
@@ -105,3 +107,81 @@ class TrainSettings(Settings):
         le=256,
         description="threads of BLAS and torch, in every command; more is slower for small networks on a busy machine",
     )
+
+
+_GIB = 2**30
+_FLOAT32 = 4
+# Two networks, their gradient and Adam's two moments; activations forward and backward of a state and its successor.
+_COPIES_OF_WEIGHTS = 5
+_COPIES_OF_ACTIVATIONS = 4
+# Bytes of a transition without its observations: action, reward, three booleans, two poses, step, source and answer.
+_TRANSITION = 8 + 4 + 3 + 14 * 8 + 3 * 8
+# Bytes of a parallel episode: ten reached poses and their evaluation, with temporaries.
+_EPISODE = 16 * 1024
+
+
+def needed_bytes(agent: AgentSettings, inputs: int) -> dict[str, int]:
+    """Return an estimate of an agent's memory [bytes], by the setting it depends on most.
+
+    Args:
+        agent: its settings.
+        inputs: number of values observed.
+    """
+    widths = [inputs + agent.network.fourier_features, *agent.network.hidden, 10]
+    tried = COUNT if agent.drawn == "states" else 1
+    # Every weight is drawn in double precision before it is kept.
+    largest = max(before * after for before, after in pairwise(widths))
+    weights = sum(before * after for before, after in pairwise(widths))
+    return {
+        "agent.network": _COPIES_OF_WEIGHTS * _FLOAT32 * weights + 2 * _FLOAT32 * largest,
+        "agent.batch": _COPIES_OF_ACTIVATIONS * _FLOAT32 * agent.batch * tried * sum(widths),
+        "agent.replay": agent.replay * (2 * _FLOAT32 * inputs + _TRANSITION),
+        "agent.episodes_at_once": agent.episodes_at_once * _EPISODE,
+    }
+
+
+def check_memory(agent: AgentSettings, inputs: int, available: int | None = None) -> None:
+    """Check that an agent fits into memory, so that no run fails half-way for lack of it.
+
+    Args:
+        agent: its settings.
+        inputs: number of values observed.
+        available: memory [bytes]; None takes this machine's and checks nothing if it is unknown.
+
+    Raises:
+        BadInputError: it needs more than the machine's memory.
+    """
+    if available is None:
+        available = physical_memory()
+    needed = needed_bytes(agent, inputs)
+    if available is None or sum(needed.values()) <= available:
+        return
+    key = max(needed, key=needed.__getitem__)
+    raise BadInputError(
+        f"{key}: must fit into this machine's memory of {available / _GIB:.1f} GiB,"
+        f" found a need of {sum(needed.values()) / _GIB:.4g} GiB"
+    )
+
+
+def check_device(agent: AgentSettings) -> str:
+    """Return the name of the device of an agent's networks: ``cpu``, or the GPU's name.
+
+    Raises:
+        BadInputError: a GPU is asked for and torch finds none.
+    """
+    if agent.device == "cpu":
+        return "cpu"
+    import torch
+
+    if not torch.cuda.is_available():
+        build = "this build of torch knows no CUDA" if torch.version.cuda is None else "torch finds no GPU"
+        raise BadInputError(f"agent.device: must be cpu where there is no CUDA device, found {agent.device}; {build}")
+    return torch.cuda.get_device_name()
+
+
+def physical_memory() -> int | None:
+    """Return the machine's memory [bytes], or None where it is unknown (Windows)."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return None

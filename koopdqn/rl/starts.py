@@ -1,15 +1,13 @@
-"""Where episodes begin: in and around the start region, or along a demonstration."""
+"""Starts of episodes: in and around the start region, or along a demonstration."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.pose import Array, turned_toward
 from koopdqn.rl.settings import AgentSettings
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
 
 _MOST_DRAWS = 1000
@@ -17,12 +15,12 @@ _MOST_REGIONS = 20
 
 
 @dataclass(frozen=True)
-class Beginning:
-    """How an episode begins.
+class EpisodeStart:
+    """The start of an episode.
 
     Attributes:
         pose: (7,) of the flange.
-        start: (7,) where it began, or would have begun to be here now.
+        start: (7,) where it began; for one that begins along a demonstration, a start of the region.
         joints: (6,) joint angles [rad].
         limit: steps after which it is truncated.
         exploring: whether it is a short episode for exploring.
@@ -35,104 +33,72 @@ class Beginning:
     exploring: bool
 
 
-@dataclass
+@dataclass(frozen=True)
 class StartSampler:
-    """Draws where episodes begin: in and around the task's start region, or somewhere along a demonstration.
+    """Draws starts of episodes: in and around the task's start region, or along a demonstration.
 
-    Some episodes are exploring ones, cut after a few steps. Beginning along the demonstrations shows the
-    agent the whole tube from the first moment, and what to do a little beside the path, where its own
-    mistakes will take it; beginning often in and around the start region shows it that region's corners, and the way
-    from farther out.
+    Exploring episodes end after a few steps. Those along the demonstrations show the agent the whole tube from the
+    first moment, and its surroundings, where its own mistakes will take it. Those in and around the start region show
+    its corners, and the way from farther out.
 
     Attributes:
-        task: gives the start region.
-        reachability: refuses what the arm cannot take.
-        frame: in which demonstrations are told.
-        trajectories: demonstrated poses (N, 7) at the agent's step, placed there.
-        share: share of exploring starts.
-        region_share: share of the exploring starts that lie in and around the start region, as all others do.
-        region_scale: how many times wider than the start region those may lie.
-        spread: standard deviation of the other starts' offset from a demonstration [m].
-        spread_rad: of how far their turn toward the goal's orientation is ahead [rad].
-        exploring_steps: step limit of exploring episodes.
-        step_limit: step limit of the others.
-        refused: how many draws were drawn again.
+        workcell: gives the start region; unreachable draws are refused.
+        frame: the start frame of the demonstrations.
+        trajectories: demonstrated poses (N, 7) at the agent's step, in that frame.
+        step_limit: of all but exploring episodes.
+        agent: how it explores; None for no exploring.
     """
 
-    task: Task
-    reachability: Reachability
+    workcell: Workcell
     frame: StartFrame
     trajectories: list[Array]
-    share: float = 0.0
-    region_share: float = 0.0
-    region_scale: float = 1.0
-    spread: float = 0.0
-    spread_rad: float = 0.0
-    exploring_steps: int = 1
-    step_limit: int = 1
-    refused: int = field(default=0)
+    step_limit: int
+    agent: AgentSettings | None = None
 
-    @classmethod
-    def of_agent(
-        cls, workcell: Workcell, frame: StartFrame, trajectories: list[Array], agent: AgentSettings, step_limit: int
-    ) -> "StartSampler":
-        """Return the sampler of an agent, given demonstrated poses (N, 7) in a frame and whole episodes' limit."""
-        return cls(
-            workcell.task,
-            workcell.reachability,
-            frame,
-            trajectories,
-            agent.exploring_starts,
-            agent.exploring_in_region,
-            agent.exploring_scale,
-            agent.exploring_spread_m,
-            agent.exploring_spread_rad,
-            agent.exploring_steps,
-            step_limit,
-        )
-
-    def draw(self, rng: np.random.Generator) -> Beginning:
-        """Return where the next episode begins."""
-        exploring = rng.random() < self.share
-        if exploring and rng.random() >= self.region_share:
-            return self._along_demonstration(rng)
+    def draw(self, rng: np.random.Generator) -> EpisodeStart:
+        """Return the start of the next episode."""
+        agent, drawn = self.agent, rng.random()
+        if agent is None or drawn >= agent.exploring_starts:
+            pose, joints = self._around_region(rng)
+            return EpisodeStart(pose, pose, joints, self.step_limit, False)
+        if rng.random() >= agent.exploring_in_region:
+            return self._along_demonstration(rng, agent)
         pose, joints = self._around_region(rng)
-        return Beginning(pose, pose, joints, self.exploring_steps if exploring else self.step_limit, exploring)
+        return EpisodeStart(pose, pose, joints, agent.exploring_steps, True)
 
     def _around_region(self, rng: np.random.Generator) -> tuple[Array, Array]:
-        left = _MOST_REGIONS
-        while True:
-            # Regions evenly spread over their volumes: far corners are many, and draws crowd the middle all the same.
-            scale = (1.0 + (self.region_scale**3 - 1.0) * float(rng.random())) ** (1 / 3)
-            region = self.task.with_starts_scaled(scale)
-            left -= 1
+        largest = 1.0 if self.agent is None else self.agent.exploring_scale
+        for left in reversed(range(_MOST_REGIONS)):
+            # Scales uniform in volume; otherwise draws would crowd the middle.
+            scale = (1.0 + (largest**3 - 1.0) * float(rng.random())) ** (1 / 3)
+            region = self.workcell.task.with_starts_scaled(scale)
             try:
-                poses, joints, refused = self.reachability.draw_starts(region, rng, 1)
+                poses, joints, _ = self.workcell.reachability.draw_starts(region, rng, 1)
             except BadInputError:
-                # Far out there may be little that the arm can take, and more in a narrower region.
+                # A narrower region may hold more reachable starts.
                 if not left:
                     raise
                 continue
-            self.refused += refused
-            return poses[0], joints[0]
+            break
+        return poses[0], joints[0]
 
-    def _along_demonstration(self, rng: np.random.Generator) -> Beginning:
+    def _along_demonstration(self, rng: np.random.Generator, agent: AgentSettings) -> EpisodeStart:
+        task, reachability = self.workcell.task, self.workcell.reachability
         for _ in range(_MOST_DRAWS):
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]
             index = rng.integers(len(trajectory))
             pose = trajectory[index].copy()
-            pose[:3] += rng.normal(scale=self.spread, size=3)
-            if self.task.orientation == "learned":
-                # A turn that runs ahead of the position or behind it.
-                ahead = rng.normal(scale=self.spread_rad)
-                pose[3:] = turned_toward(pose[3:], self.task.goal[3:], ahead)
-            start = self.task.draw_starts(rng, 1)[0]
-            pose = self.frame.unplaced(pose[None], start[None], pose[None])[0]
-            motion = self.reachability.enter(pose)
-            if motion.joints is not None and not self.task.reached(pose[None])[0]:
-                return Beginning(pose, start, motion.joints, self.exploring_steps, True)
-            self.refused += 1
+            pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
+            if task.orientation == "learned":
+                # The turn may be ahead of the position or behind it.
+                ahead = rng.normal(scale=agent.exploring_spread_rad)
+                pose[3:] = turned_toward(pose[3:], task.goal[3:], ahead)
+            start = task.draw_starts(rng, 1)[0]
+            pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
+            motion = reachability.enter(pose)
+            if motion.joints is not None and not task.reached(pose[None])[0]:
+                return EpisodeStart(pose, start, motion.joints, agent.exploring_steps, True)
         raise WorkFailedError(
-            f"task {self.task.name}: the arm must be able to begin along the demonstrations,"
+            f"task {task.name}: the arm must be able to begin along the demonstrations,"
             f" found {_MOST_DRAWS} draws in a row refused"
         )

@@ -1,4 +1,4 @@
-"""The environment of Algorithm 1: episodes side by side, in each of which one action at a time is tried."""
+"""The environment of Algorithm 1: parallel episodes, in each of which one action at a time is tried."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,14 +9,13 @@ from koopdqn.intent.reward import ASKED, RULE, ActionEvaluation
 from koopdqn.oracles.base import Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.labels import Labelled
 from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
-from koopdqn.rl.starts import Beginning, StartSampler
+from koopdqn.rl.replay_buffer import Labelled
+from koopdqn.rl.starts import EpisodeStart, StartSampler
 from koopdqn.tasks.actions import COUNT
-from koopdqn.tasks.reachability import Motion
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import Motion, Workcell
 
-# Below this [m, or of a quaternion's entries] two poses are one.
+# Poses that differ by less [m, or in a quaternion's entries] are the same.
 _SAME = 1e-12
 
 
@@ -26,15 +25,15 @@ class Episodes:
 
     Attributes:
         poses: (N, 7) flange poses.
-        starts: (N, 7) where they began, or would have begun to be here now.
+        starts: (N, 7) of the episodes, as :class:`EpisodeStart` gives them.
         joints: (N, 6) joint angles [rad].
         steps: (N,) steps made.
         limits: (N,) steps after which each is truncated.
-        numbers: (N,) which episode each is, counted from 0 over the whole run.
+        numbers: (N,) number of each episode in the run, from 0.
         rewards: (N,) sum of the rewards so far.
-        tried: (N, 10) wrong actions already tried from the present pose.
-        stored: (N, 10) actions from the present pose whose transitions are stored already.
-        exploring: (N,) whether it is a short episode for exploring.
+        tried: (N, 10) wrong actions tried at the present pose.
+        stored: (N, 10) actions at the present pose whose transitions are stored.
+        exploring: (N,) whether it is a short exploring episode.
     """
 
     poses: Array
@@ -50,7 +49,7 @@ class Episodes:
 
     @classmethod
     def empty(cls, count: int) -> "Episodes":
-        """Return room for ``count`` episodes that have not begun."""
+        """Return ``count`` episodes that have not begun."""
         return cls(
             poses=np.zeros((count, 7)),
             starts=np.zeros((count, 7)),
@@ -68,7 +67,7 @@ class Episodes:
         """Return the number of episodes."""
         return len(self.poses)
 
-    def begin(self, index: int, number: int, beginning: Beginning) -> None:
+    def begin(self, index: int, number: int, beginning: EpisodeStart) -> None:
         """Begin episode ``number`` of the run at ``index``."""
         self.poses[index], self.starts[index] = beginning.pose, beginning.start
         self.joints[index] = beginning.joints
@@ -81,7 +80,7 @@ class Episodes:
         self.exploring[index] = beginning.exploring
 
     def move(self, index: int, pose: Array, joints: Array) -> None:
-        """Take episode ``index`` to a pose (7,) with joints (6,)."""
+        """Move episode ``index`` to a pose (7,) with joints (6,)."""
         self.poses[index] = pose
         self.joints[index] = joints
         self.steps[index] += 1
@@ -89,30 +88,30 @@ class Episodes:
         self.stored[index] = False
 
     def reopen(self, here: np.ndarray, action: int) -> None:
-        """Let those of N episodes that are ``here`` (N,) try an action anew."""
+        """Let the episodes of a mask (N,) try an action again."""
         self.tried[here, action] = False
         self.stored[here, action] = False
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return everything held, as arrays."""
+        """Return the state as arrays."""
         return {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Hold what :meth:`state` returned."""
+        """Restore what :meth:`state` returned."""
         for name in self.__dataclass_fields__:
             getattr(self, name)[...] = state[name]
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """What came of an action that was tried.
+    """The result of an attempted action.
 
     Attributes:
-        reward: its reward; None if it has none, because the question was skipped or put off.
-        asked: whether it was asked about just now.
-        new: whether its transition is to be stored: it has a reward and was not labelled before.
+        reward: its reward; None if the question was skipped or put off.
+        asked: whether the oracle was asked.
+        new: whether its transition is to be stored: it has a reward and is not stored yet.
         at_goal: whether it reached the goal, which ends the episode.
-        truncated: whether the episode ends for another reason: its step limit, or as many questions as it may put off.
+        truncated: whether the episode ends at its step limit, or at its most questions put off.
     """
 
     reward: float | None
@@ -128,14 +127,14 @@ class Attempt:
 
 
 class VectorEnv:
-    """N episodes of a task: an action that is right moves the arm, a wrong one is undone.
+    """N parallel episodes of a task: a right action moves the arm, a wrong one is undone.
 
     Attributes:
         workcell: task, arm and scene.
-        feedback: the reward function and what answers have taught.
-        episodes: where the arms are.
-        put_off: questions that wait for the end of their episodes.
-        begun: episodes begun so far.
+        feedback: the reward function, extended by answers.
+        episodes: the state of the episodes.
+        put_off: questions put off to the end of their episodes.
+        begun: number of episodes begun so far.
     """
 
     def __init__(
@@ -147,7 +146,7 @@ class VectorEnv:
         rng: np.random.Generator,
         asking: Asking = Asking(),  # noqa: B008 (frozen)
     ) -> None:
-        """Begin ``count`` episodes at what ``starts`` draws from ``rng``."""
+        """Begin ``count`` episodes at starts drawn with ``rng``."""
         self.workcell = workcell
         self.feedback = feedback
         self.episodes = Episodes.empty(count)
@@ -164,7 +163,7 @@ class VectorEnv:
         self.begun += 1
 
     def evaluate_actions(self, rows: np.ndarray | None = None) -> ActionEvaluation:
-        """Return what is known of all actions from where the episodes are, or those whose indices are ``rows``."""
+        """Return the evaluation of all actions at the poses of the episodes, or of those whose indices are ``rows``."""
         here, each = self.episodes, slice(None) if rows is None else rows
         return self.feedback.evaluate_actions(*(held[each].copy() for held in (here.poses, here.steps, here.starts)))
 
@@ -177,19 +176,19 @@ class VectorEnv:
         *,
         ask: bool = False,
     ) -> Attempt:
-        """Try an action of Table 1, given by its index, in an episode.
+        """Try an action of Table 1 in an episode.
 
-        What the arm cannot do is wrong without a question. Where the reward is not known the oracle is asked.
+        An action that the arm cannot carry out is wrong. If the reward is not known, the oracle is asked.
 
         Args:
             index: of the episode.
-            action: which.
-            evaluation: of :meth:`evaluate_actions`; the label that the attempt brings is put into it.
-            motion: what becomes of the arm; None if that is not known yet.
-            ask: ask even where the reward is known.
+            action: its index.
+            evaluation: of :meth:`evaluate_actions`; it takes the attempt's label.
+            motion: of the arm; None if not computed yet.
+            ask: ask even if the reward is known.
 
         Raises:
-            PauseRequested: who answers wants to go on another time.
+            PauseRequested: whoever answers pauses the run.
         """
         episodes = self.episodes
         motion = motion or self.workcell.reachability.move(evaluation.reached[index, action], episodes.joints[index])
@@ -206,7 +205,7 @@ class VectorEnv:
                 return Attempt(None, asked=True)
             asked = True
             if known:
-                # It was stored as the model's own opinion; what a person says is stored beside it.
+                # The model's own reward is stored already; the answer is stored in addition.
                 episodes.stored[index, action] = False
         reward = float(evaluation.reward[index, action])
         moves = motion.joints is not None and (reward >= 0 or not self.feedback.step_back)
@@ -226,19 +225,19 @@ class VectorEnv:
         evaluation.set_label(index, action, self.feedback.reward.value(False, False), RULE)
 
     def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
-        """Ask; return whether there was an answer (a skip is not a no), which then stands in a row of an evaluation."""
+        """Ask and label the action in a row of an evaluation; return whether there was an answer (a skip is none)."""
         outcome = self.feedback.ask(question, evaluation, row)
-        placed = self.feedback.reward.model.start_frame.placed(self.episodes.poses, self.episodes.starts)
+        local = self.feedback.reward.model.start_frame.to_frame(self.episodes.poses, self.episodes.starts)
         for point, action in outcome.reopened:
-            # To rounding: places that are told from another start are computed anew.
-            self.episodes.reopen(np.abs(placed - point).max(axis=1) < _SAME, action)
+            # Up to rounding, since local poses are computed anew.
+            self.episodes.reopen(np.abs(local - point).max(axis=1) < _SAME, action)
         return outcome.right is not None
 
     def answer_put_off(self, index: int) -> Iterator[Labelled]:
-        """Ask what an episode has put off, and yield the label of each attempt as soon as it is known.
+        """Ask an episode's questions put off, and yield each attempt as soon as it is labelled.
 
         Raises:
-            PauseRequested: who answers wants to go on another time.
+            PauseRequested: whoever answers pauses the run.
         """
         for labelled in answered(self.put_off.take(index), self.feedback, self.ask, int(self.episodes.limits[index])):
             self.episodes.rewards[index] += float(labelled.rewards[0])

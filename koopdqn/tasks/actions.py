@@ -1,4 +1,4 @@
-"""Table 1: the ten actions, the poses they reach, and how these compare with a prediction (Eqs. 15, 16)."""
+"""Table 1: the ten actions, the poses they reach, and their distances from a prediction (Eqs. 15, 16)."""
 
 from typing import Final
 
@@ -21,21 +21,21 @@ ACTIONS: Final = (
     "moves along +z",
     "moves along -z",
 )
-"""The actions in Table 1's order and words; an action's index counts from 0, the paper's numbers from 1."""
+"""The actions in Table 1's order and words; indices count from 0, the paper's numbers from 1."""
 
 COUNT: Final = len(ACTIONS)
 ROTATING: Final = (0, 2, 3)
 """Indices of the actions that change orientation."""
 
-# Rotation of one action in rotation tolerances (design, row 9): together with the actions that do not
-# turn they match every demonstrated rate from 0 to 5 tolerances a step.
+# Rotation of one action in rotation tolerances: with the actions that do not turn they match every demonstrated rate
+# from 0 to 5 tolerances a step.
 _TURN: Final = {0: IN_PLACE, 2: IN_PLACE, 3: 2.0 * IN_PLACE}
 _TO_GOAL: Final = (0, 1, 3)
 _FIRST_AXIS: Final = 4
 
 
 def reached_poses(poses: Array, task: Task) -> Array:
-    """Return the poses (N, 10, 7) that each action reaches from poses (N, 7), whether or not an arm can.
+    """Return the poses (N, 10, 7) that the actions reach from poses (N, 7), whether or not the arm can reach them.
 
     Motion toward the goal is straight in position and along the geodesic in rotation, both clamped at the goal.
     """
@@ -56,7 +56,7 @@ def reached_poses(poses: Array, task: Task) -> Array:
 
 
 def legal_actions(task: Task) -> np.ndarray:
-    """Return which actions (10,) the task allows: with orientation held, those named for rotation are wrong (§5.1)."""
+    """Return which actions (10,) the task allows: with orientation held, the rotating ones are wrong (§5.1)."""
     legal = np.ones(COUNT, dtype=bool)
     if task.orientation == "held":
         legal[list(ROTATING)] = False
@@ -64,7 +64,7 @@ def legal_actions(task: Task) -> np.ndarray:
 
 
 def excess(reached: Array, wished: Array, task: Task) -> Array:
-    """Return the larger of the two distances (...), each in units of its tolerance: metres and radians stay apart."""
+    """Return the larger of position and rotation distance (...), each in units of its tolerance."""
     position = pose.position_distance(reached, wished) / task.position_tolerance_m
     rotation = pose.rotation_distance(reached, wished) / task.rotation_tolerance_rad
     return np.maximum(position, rotation)
@@ -76,9 +76,6 @@ def within_tolerance(reached: Array, wished: Array, task: Task) -> np.ndarray:
 
 
 def nearest_actions(poses: Array, wished: Array, task: Task) -> np.ndarray:
-    """Return the legal actions (N,) that lead from poses (N, 7) nearest to wished poses (N, 7).
-
-    Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
-    """
+    """Return the legal actions (N,) whose reached poses are nearest to wished poses (N, 7), by :func:`excess`."""
     far = excess(reached_poses(poses, task), wished[:, None], task)
     return np.asarray(np.where(legal_actions(task), far, np.inf).argmin(axis=1))

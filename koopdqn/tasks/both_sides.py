@@ -1,4 +1,4 @@
-"""Putting a bottle into a shelf from both of its sides, demonstrated from one: where trust matters."""
+"""Putting a bottle into a shelf from both of its sides, demonstrated from one only."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,15 +9,15 @@ from pydantic import Field, model_validator
 from koopdqn import pose
 from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
-from koopdqn.tasks.person import Law, ShownPath
+from koopdqn.tasks.person import Expert, ReferencePath
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import Waypoints
 
 
 class BothSidesTask(ShelfTask):
-    """The shelf, with starts beside either of its side walls and demonstrations from beside one.
+    """The shelf with starts beside both side walls and demonstrations beside one.
 
-    Nothing demonstrated tells that the other wall is gone around the other way.
+    Demonstrations do not show that the path around the other wall is the mirror image.
     """
 
     other_waypoints: Waypoints = Field(description="flange positions from the other side, start first, goal last [m]")
@@ -31,41 +31,41 @@ class BothSidesTask(ShelfTask):
             )
         return self
 
-    def law(self, finer: int = 1) -> Law:
-        """Return the person's law from either side, along the path that is nearer."""
-        own = super().law(finer)
-        other = self.person.law(self._other_path, self.goal, own.step, own.turn)
+    def expert(self, finer: int = 1) -> Expert:
+        """Return the expert that follows the nearer of the two paths."""
+        own = super().expert(finer)
+        other = self.person.expert(self._other_path, self.goal, own.step, own.turn)
         return _AlongNearer(own.path, own.aim, own.goal, own.step, own.turn, other)
 
     @cached_property
-    def _other_path(self) -> ShownPath:
+    def _other_path(self) -> ReferencePath:
         places = SmoothPath.through(self.other_waypoints)
-        return ShownPath(places, np.tile(self.goal[pose.QUATERNION], (len(places.points), 1)))
+        return ReferencePath(places, np.tile(self.goal[pose.QUATERNION], (len(places.points), 1)))
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7), each from the start region of a side drawn by its share."""
+        """Return ``count`` poses (count, 7), a share ``other_share`` of them from the other side."""
         poses = self.draw_demonstrated_starts(rng, count)
         other = rng.random(count) < self.other_share
         poses[other, pose.POSITION] += np.array(self.other_waypoints[0]) - self.waypoints[0]
         return poses
 
     def draw_demonstrated_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7) of the side that is demonstrated."""
+        """Return ``count`` poses (count, 7) of the demonstrated side."""
         return super().draw_starts(rng, count)
 
 
 @dataclass(frozen=True)
-class _AlongNearer(Law):
-    """A law of two paths to one goal: from every pose that of the path that is nearer.
+class _AlongNearer(Expert):
+    """An expert with two paths to one goal, which follows the nearer one.
 
     Attributes:
-        other: the law of the second path.
+        other: the expert on the second path.
     """
 
-    other: Law
+    other: Expert
 
     def next_pose(self, poses: Array, *, alone: bool = False) -> Array:
-        """Return where the person would be after one step from poses (N, 7)."""
+        """Return the poses (N, 7) one step after poses (N, 7)."""
         position = poses[:, pose.POSITION]
         own, other = (
             np.linalg.norm(path.at(path.nearest(position, alone=alone)) - position, axis=1)

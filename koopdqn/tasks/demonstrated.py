@@ -1,4 +1,4 @@
-"""A task that demonstrations alone define: their starts, their goal, and going on as they did."""
+"""A task defined by demonstrations alone: their starts, their goal, and the mean of their paths."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, Self
@@ -11,7 +11,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.paths import SmoothPath, mean_poses
 from koopdqn.pose import Array
 from koopdqn.schema import Sha256
-from koopdqn.tasks.person import ShownPath
+from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 
@@ -19,17 +19,16 @@ if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
 
 RotationType = Literal["held", "geodesic", "free"]
-"""What a task made from demonstrations does with orientation."""
+"""How a task made from demonstrations treats orientation."""
 
-# A start this many goal tolerances from the goal is no start; the region may hold the goal where starts spread wide.
+# A start within this many goal tolerances of the goal is drawn again; a wide start region may contain the goal.
 _CLEAR_OF_GOAL = 3.0
 
 
 class DemonstratedTask(Task):
-    """The arm alone in the arena does what training demonstrations showed.
+    """The arm, alone in its scene, repeats what training demonstrations showed.
 
-    Its fields say all that artifacts need to tell one such task from another; the demonstrations themselves are
-    not among them and are given by :meth:`shown`.
+    The fields identify the task in artifacts. The demonstrations are not among them; :meth:`shown` takes them.
     """
 
     turning: RotationType = Field(
@@ -39,17 +38,16 @@ class DemonstratedTask(Task):
     held_limit_rad: float = Field(gt=0, description="turn away from the goal that breaks the rule, where held [rad]")
     start_margin_m: float = Field(gt=0, description="how far a start lies from a demonstrated one, along each axis [m]")
     follows_start: bool = Field(
-        description="whether a path keeps beside the others what its start lies beside theirs, less and less toward"
-        " the goal"
+        description="whether a path keeps the offset of its start from the others', fading toward the goal"
     )
     holdout: int = Field(ge=0, description="demonstrations kept for evaluation")
-    training: Sha256 = Field(description="of the training demonstrations' content")
+    training: Sha256 = Field(description="SHA-256 of the training demonstrations' content")
 
     _trajectories: tuple[Array, ...] = PrivateAttr(default=())
 
     @classmethod
     def shown(cls, trajectories: list[Array], **fields: object) -> "DemonstratedTask":
-        """Return the task that fields describe, with its training trajectories (N, 7) at the agent's step.
+        """Return the task with these fields and training trajectories (N, 7) at the agent's step.
 
         Raises:
             ValidationError: a field breaks a rule.
@@ -71,53 +69,50 @@ class DemonstratedTask(Task):
 
     @property
     def orientation(self) -> Literal["held", "learned"]:
-        """Learned where the demonstrated turn goes along the geodesic to the goal."""
+        """Learned if the demonstrated turn is along the geodesic to the goal, otherwise held."""
         return "learned" if self.turning == "geodesic" else "held"
 
     @property
     def rule(self) -> str:
-        """The orientation rule, if there is one."""
+        """The orientation rule, or ``none``."""
         if self.turning == "held":
             return f"orientation stays within {np.degrees(self.held_limit_rad):.2g}° of the goal's"
         return "none"
 
     def rule_broken(self, poses: Array) -> np.ndarray:
-        """Return whether orientation strays at each pose (N, 7) of a task that holds it, as booleans (N,)."""
+        """Return whether the orientation of each pose (N, 7) leaves its limit where it is held, as booleans (N,)."""
         if self.turning != "held":
             return np.zeros(len(poses), dtype=bool)
         return np.asarray(pose.rotation_distance(poses, self.goal) > self.held_limit_rad)
 
     def furnish(self, scene: "SceneBuilder") -> None:
-        """Add nothing: demonstrations do not tell what stands around the arm."""
+        """Add nothing: demonstrations do not show what surrounds the arm."""
 
     @cached_property
     def nominal_path(self) -> SmoothPath:
-        """The training demonstration that begins at the nominal start."""
+        """The positions of the training demonstration that begins at the nominal start."""
         nearest = min(self.trajectories, key=lambda each: float(pose.position_distance(each[0], self.nominal_start)))
         return SmoothPath.along(nearest[:, pose.POSITION])
 
     @property
     def person_frame(self) -> StartFrame:
-        """The frame that the demonstrations, left out one at a time, ask for."""
+        """The start frame, chosen by leaving one demonstration out at a time."""
         return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], self.follows_start)
 
     @cached_property
-    def shown_path(self) -> ShownPath:
-        """The mean of the training demonstrations, all told as from the nominal start.
-
-        Of what demonstrations alone tell, their mean was found to be nearest to those left out.
-        """
+    def reference_path(self) -> ReferencePath:
+        """The mean of the training demonstrations in the start frame: it was found nearest to those left out."""
         count = max(len(rows) for rows in self.trajectories)
-        return ShownPath.along(mean_poses(self.person_frame.each(self.trajectories), count))
+        return ReferencePath.along(mean_poses(self.person_frame.each(self.trajectories), count))
 
     def with_starts_scaled(self, scale: float) -> Self:
-        """Return the task with ``scale`` times the distance that a start may lie from a demonstrated one."""
+        """Return the task with ``start_margin_m`` scaled by ``scale``."""
         return self.model_copy(update={"start_margin_m": scale * self.start_margin_m})
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7), each beside the start of a training demonstration drawn evenly.
+        """Return ``count`` poses (count, 7), each beside the start of a random training demonstration.
 
-        Orientation is that start's. Draws within a few tolerances of the goal are drawn again.
+        Orientation is that start's. Draws too near to the goal are drawn again.
         """
         starts = np.array([trajectory[0] for trajectory in self.trajectories])
         drawn: list[Array] = []

@@ -1,4 +1,4 @@
-"""Handing a knife to a person: its edge is turned down early, before the blade comes near (§5.2 of the paper)."""
+"""Handing a knife to a person: the edge turns down before the blade comes near (§5.2 of the paper)."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -9,7 +9,6 @@ from pydantic import Field, Strict, model_validator
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Settings, Vector3
-from koopdqn.tasks.geometry import segment_distance
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ GRIP = (0.16, 0.11, 0.08, 1.0)
 WOOD = (0.76, 0.60, 0.42, 1.0)
 CLOTH = (0.25, 0.35, 0.55, 1.0)
 SKIN = (0.85, 0.66, 0.53, 1.0)
-# Lines along the blade, from edge to spine, whose distance to the receiver is taken as the blade's.
+# Lines along the blade, from edge to spine; the least of their distances to the receiver is the blade's.
 _BLADE_LINES = 5
 
 
@@ -47,10 +46,9 @@ class Block(Settings):
 class KnifeTask(Task):
     """The arm brings a knife to a receiver, handle first, edge up at the start and down at the end.
 
-    The blade lies along the flange's z axis, held by its spine; the handle, beyond it, points at the
-    receiver throughout. The edge is a unit vector in the flange frame. The turn is about the blade's long axis.
-    The blade is safe while its edge is within ``safe_angle_rad`` of straight down; the rule is broken when
-    the blade is nearer to the receiver than ``rule_distance_m`` and not safe.
+    The gripper holds the blade by its spine, along the flange's z axis; the handle, beyond it, points at the receiver.
+    The turn is about the blade's long axis. The blade is safe while its edge is within ``safe_angle_rad`` of straight
+    down; the rule is broken when the blade is nearer to the receiver than ``rule_distance_m`` and not safe.
     """
 
     edge: Vector3 = Field(description="direction of the cutting edge, a unit vector in the flange frame")
@@ -60,8 +58,8 @@ class KnifeTask(Task):
     handle_length_m: float = Field(gt=0)
     safe_angle_rad: float = Field(gt=0)
     rule_distance_m: float = Field(gt=0)
-    turn_from: Fraction = Field(description="share of the path shown at which the turn begins")
-    turn_until: Fraction = Field(description="share of the path shown at which the turn is made")
+    turn_from: Fraction = Field(description="share of the reference path at which the turn begins")
+    turn_until: Fraction = Field(description="share of the reference path at which the turn ends")
     receiver: Annotated[tuple[Limb, ...], Strict(False), Field(min_length=1)]
     furniture: Annotated[tuple[Block, ...], Strict(False)]
 
@@ -80,7 +78,7 @@ class KnifeTask(Task):
         return "learned"
 
     def turned(self, share: Array) -> Array:
-        """Return the share (N,) of the turn that is made at shares (N,) of the path shown: a smooth step 3u² − 2u³."""
+        """Return the share (N,) of the turn at shares (N,) of the reference path: a smooth step 3u² − 2u³."""
         u = np.clip((share - self.turn_from) / (self.turn_until - self.turn_from), 0.0, 1.0)
         return np.asarray(u**2 * (3.0 - 2.0 * u))
 
@@ -127,7 +125,7 @@ class KnifeTask(Task):
         return broken
 
     def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
-        """Return the blade's final angle, when it became safe, its least distance to the receiver and its speed."""
+        """Return the blade's final angle, share of the path until safe, least distance to the receiver and speed."""
         angle = self.blade_angle(path)
         unsafe = np.flatnonzero(angle > self.safe_angle_rad)
         until = 0.0 if not len(unsafe) else (unsafe[-1] + 1) / (len(path) - 1)
@@ -145,7 +143,7 @@ class KnifeTask(Task):
         return self.blade_start_m, self.blade_start_m + self.blade_length_m
 
     def furnish(self, scene: "SceneBuilder") -> None:
-        """Put a gripper with a knife on the flange, and the receiver where they stand."""
+        """Add a gripper with a knife, the furniture and the receiver."""
         edge = np.array(self.edge)
         side = np.cross([0.0, 0.0, 1.0], edge)
         start, end = self._blade_ends
@@ -174,3 +172,21 @@ class KnifeTask(Task):
         for limb in self.receiver:
             rgba = SKIN if limb.skin else CLOTH
             scene.furniture_capsule(f"receiver_{limb.name}", limb.start, limb.end, limb.radius_m, rgba)
+
+
+def segment_distance(first: Array, second: Array, start: Array, end: Array) -> Array:
+    """Return the distances (...) [m] between segments first–second and start–end, (..., 3) each; they broadcast.
+
+    The closest points of two lines are clamped to the segments in turn (Ericson, Real-Time Collision
+    Detection, §5.1.9).
+    """
+    u, v, w = second - first, end - start, first - start
+    a, b, c = (u * u).sum(axis=-1), (u * v).sum(axis=-1), (v * v).sum(axis=-1)
+    d, e = (u * w).sum(axis=-1), (w * v).sum(axis=-1)
+    determinant = a * c - b * b
+    parallel = determinant < 1e-12
+    s = np.clip(np.where(parallel, 0.0, (b * e - c * d) / np.where(parallel, 1.0, determinant)), 0.0, 1.0)
+    t = np.clip((b * s + e) / c, 0.0, 1.0)
+    s = np.clip((b * t - d) / a, 0.0, 1.0)
+    gap = w + s[..., None] * u - t[..., None] * v
+    return pose.norm(gap)

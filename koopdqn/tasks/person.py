@@ -1,4 +1,4 @@
-"""Scripted persons: each makes a law of a path that it is shown, with its own way to come back to it."""
+"""Scripted persons: each follows a reference path and returns to it in its own way."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ShownPath:
+class ReferencePath:
     """A path of poses, evenly spaced in arc length.
 
     Attributes:
@@ -32,7 +32,7 @@ class ShownPath:
     quaternions: Array
 
     @classmethod
-    def along(cls, poses: Array) -> "ShownPath":
+    def along(cls, poses: Array) -> "ReferencePath":
         """Return the path along poses (N, 7)."""
         places = SmoothPath.along(poses[:, pose.POSITION])
         return cls(places, to_count(poses, len(places.points))[:, pose.QUATERNION])
@@ -43,18 +43,18 @@ class ShownPath:
         return pose.make(self.places.points, self.quaternions)
 
     def nearest(self, positions: Array, margin: float, *, alone: bool = False) -> Array:
-        """Return the arc length (N,) [m] of the place of the path that each position (N, 3) [m] goes on from.
+        """Return the arc length (N,) [m] of the nearest point of the path to each position (N, 3) [m].
 
-        That is the nearest place. Where a path comes back to itself, several are nearer than the places beside them;
-        of those within ``margin`` [m] of the nearest it is the latest: a law knows no past, and where a path crosses
-        itself that choice makes it end. With ``alone`` no rounding hangs on how many positions there are.
+        Where the path passes itself there are several local minima of the distance. Of those within ``margin`` [m] of
+        the least, the latest counts: an expert has no memory, and this choice lets it reach the end. With ``alone``
+        rounding does not depend on the number of positions.
         """
         points = self.places.points
         products = row_products(2.0 * positions, points, alone=alone)
         squared = self._squares - products + (positions**2).sum(axis=1)[:, None]
         distance = np.sqrt(np.maximum(squared, 0.0))
         candidate = distance <= distance.min(axis=1, keepdims=True) + margin
-        # No farther than the places beside it.
+        # Local minima only.
         candidate[:, 1:] &= distance[:, 1:] <= distance[:, :-1]
         candidate[:, :-1] &= distance[:, :-1] <= distance[:, 1:]
         latest = len(points) - 1 - candidate[:, ::-1].argmax(axis=1)
@@ -70,39 +70,40 @@ class ShownPath:
         return np.asarray(self.quaternions[np.clip(index, 0, len(self.quaternions) - 1)])
 
 
-Aim = Callable[[ShownPath, Array, Array, float], Array]
-"""Returns the positions (N, 3) [m] that a person heads for: from the path meant, the positions (N, 3) [m] now, the arc
-lengths (N,) [m] of the places that they go on from, and the step [m]."""
+Aim = Callable[[ReferencePath, Array, Array, float], Array]
+"""Returns the positions (N, 3) [m] that a person heads for, from the reference path, positions (N, 3) [m], the arc
+lengths (N,) [m] of their nearest points, and the step [m]."""
 
-# Nearer to the goal than this [m, rad] a law has come to rest; it is far under any tolerance.
+# Within this distance of the goal [m, rad] an expert has come to rest; it is far under any tolerance.
 _REST = 1e-6
-# Places of a path count as about as near up to this share of a step.
+# Points of a path count as equally near up to this share of a step.
 _AS_NEAR = 0.25
 
 
 @dataclass(frozen=True)
-class Law:
-    """What answers for the person: the scripted oracle, agreement figures and references all ask it.
+class Expert:
+    """A scripted person on a path: gives the next pose for any pose.
 
-    It depends on the pose alone and knows nothing of the Koopman model. Each step goes straight to where the person
-    aims, and turns as the path does a step ahead, scaled to what the ten actions can make.
+    The scripted oracle, agreement figures and reference paths come from it. It depends on the pose alone and knows
+    nothing of the Koopman model. Each step goes straight toward the aim and turns as the path does one step ahead,
+    scaled to what the ten actions can do.
 
     Attributes:
-        path: the path that the person means; it ends at the goal.
-        aim: where the person heads for.
-        goal: pose (7,) at which it comes to rest.
+        path: the path to follow; it ends at the goal.
+        aim: the position to head for.
+        goal: pose (7,) at which it stops.
         step: distance of one step [m].
         turn: turn of one step in place [rad]; 0 where the goal's orientation is held.
     """
 
-    path: ShownPath
+    path: ReferencePath
     aim: Aim
     goal: Array
     step: float
     turn: float
 
     def next_pose(self, poses: Array, *, alone: bool = False) -> Array:
-        """Return where the person would be after one step from poses (N, 7), as poses (N, 7).
+        """Return the poses (N, 7) one step after poses (N, 7).
 
         With ``alone`` each is to the last bit what it is without the others.
         """
@@ -117,7 +118,7 @@ class Law:
         return one_step(poses, wished, self.goal, self.step, self.turn)
 
     def roll_out(self, start: Array, limit: int) -> Array:
-        """Return the poses (T, 7) of the law from a start (7,) until the goal, at most ``limit`` steps."""
+        """Return the poses (T, 7) from a start (7,) to the goal, at most ``limit`` steps."""
         return self.roll_outs(start[None], limit)[0]
 
     def roll_outs(self, starts: Array, limit: int) -> list[Array]:
@@ -137,17 +138,17 @@ class Law:
 
 
 class Person(Settings, ABC):
-    """Who demonstrates and answers. Subclass it for one of your own; the subclass's fields are its settings."""
+    """A scripted person that demonstrates and answers. Subclass it for your own; the fields are its settings."""
 
     name: Name
 
     @abstractmethod
-    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
-        """Return the person's law for a path that was shown.
+    def expert(self, reference: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        """Return this person as an expert on a path.
 
         Args:
-            shown: the path; it ends at the goal.
-            goal: pose (7,) at which the law comes to rest.
+            reference: the path; it ends at the goal.
+            goal: pose (7,) at which the expert stops.
             step: distance of one step [m].
             turn: turn of one step in place [rad]; 0 where the goal's orientation is held.
         """
@@ -162,44 +163,44 @@ AnyPerson = Annotated[Person, BeforeValidator(_to_person)]
 
 
 class Pursuit(Person):
-    """Pursues a point that runs ahead on the path: a small offset dies out as exp(−distance / look-ahead)."""
+    """Pursues a point ahead on the path: a small offset decays as exp(−distance / look-ahead)."""
 
     look_ahead_m: float = Field(
         ge=1e-3, le=1.0, description="how far ahead on the path the person looks, at least a step [m]"
     )
 
-    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
-        """Return the law of pursuit on the path."""
-        return Law(shown, self._aim, goal, step, turn)
+    def expert(self, reference: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        """Return the pursuit of the path."""
+        return Expert(reference, self._aim, goal, step, turn)
 
-    def _aim(self, path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
+    def _aim(self, path: ReferencePath, positions: Array, arc: Array, step: float) -> Array:
         return path.places.at(arc + max(self.look_ahead_m, step))
 
 
 class Wide(Pursuit):
-    """Keeps a wide berth of things: pursues a path whose detours from the straight line to the goal are larger."""
+    """Pursues a path with larger detours from the straight line to the goal."""
 
-    wider: float = Field(ge=0, le=1, description="by how much the detours are larger, as a share of them")
+    wider: float = Field(ge=0, le=1, description="how much larger the detours are, as a share of them")
 
-    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
-        """Return the law of pursuit on the wider path."""
-        points = shown.places.points
+    def expert(self, reference: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        """Return the pursuit of the wider path."""
+        points = reference.places.points
         chord = points[-1] - points[0]
         along = (points - points[0]) @ chord / max(float(chord @ chord), 1e-12)
         straight = points[0] + along[:, None] * chord
         wider = straight + (1.0 + self.wider) * (points - straight)
-        return super().law(ShownPath.along(pose.make(wider, shown.quaternions)), goal, step, turn)
+        return super().expert(ReferencePath.along(pose.make(wider, reference.quaternions)), goal, step, turn)
 
 
 class Square(Person):
-    """First returns to the path at a right angle: farther from it than a step, it heads for the nearest place."""
+    """Returns to the path at a right angle: farther than a step from it, heads for its nearest point."""
 
-    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
-        """Return the law of returning to the path, then going along it."""
-        return Law(shown, _nearest_first, goal, step, turn)
+    def expert(self, reference: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        """Return the expert that first returns to the path, then goes along it."""
+        return Expert(reference, _nearest_first, goal, step, turn)
 
 
-def _nearest_first(path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
+def _nearest_first(path: ReferencePath, positions: Array, arc: Array, step: float) -> Array:
     nearest = path.places.at(arc)
     off = pose.norm(positions - nearest, keepdims=True) > step
     return np.where(off, nearest, path.places.at(arc + step))
@@ -208,34 +209,34 @@ def _nearest_first(path: ShownPath, positions: Array, arc: Array, step: float) -
 class Via(Person):
     """Passes via points with minimum jerk (Flash & Hogan 1985).
 
-    The via points lie at equal shares of the path shown; between them it goes as the motion of least jerk through
-    them does. An offset dies out as the minimum-jerk polynomial says, and is gone at the next via point.
+    The via points lie at equal shares of the reference path; between them the motion is that of least jerk. An offset
+    decays along the minimum-jerk polynomial and is zero at the next via point.
     """
 
-    via_points: int = Field(ge=0, le=50, description="how many it passes between start and goal")
+    via_points: int = Field(ge=0, le=50, description="number of via points between start and goal")
 
-    def law(self, shown: ShownPath, goal: Array, step: float, turn: float) -> Law:
-        """Return the law of passing the via points."""
-        path, arcs = self._meant(shown)
-        return Law(path, partial(_minimum_jerk, arcs), goal, step, turn)
+    def expert(self, reference: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        """Return the expert that passes the via points."""
+        path, arcs = self._through_via_points(reference)
+        return Expert(path, partial(_minimum_jerk, arcs), goal, step, turn)
 
-    def _meant(self, shown: ShownPath) -> tuple[ShownPath, Array]:
+    def _through_via_points(self, reference: ReferencePath) -> tuple[ReferencePath, Array]:
         """Return the path of least jerk through the via points, and the arc lengths (V,) [m] of those and its ends."""
         count = self.via_points + 2
-        share = np.rint(np.linspace(0.0, len(shown.places.points) - 1, count)).astype(int)
-        times, spline = least_jerk(shown.places.points[share])
-        fine = np.linspace(0.0, times[-1], 4 * len(shown.places.points))
+        share = np.rint(np.linspace(0.0, len(reference.places.points) - 1, count)).astype(int)
+        times, spline = least_jerk(reference.places.points[share])
+        fine = np.linspace(0.0, times[-1], 4 * len(reference.places.points))
         points = np.asarray(spline(fine))
-        # Between two via points the tool is turned as on the path shown, at the same share of the way.
+        # Orientations are those of the reference path at the same share of the way between two via points.
         index = np.rint(np.interp(fine, times, share)).astype(int)
-        path = ShownPath.along(pose.make(points, shown.quaternions[index]))
+        path = ReferencePath.along(pose.make(points, reference.quaternions[index]))
         return path, np.interp(times, fine, arc_lengths(points))
 
 
 def least_jerk(points: Array) -> tuple[Array, "BSpline"]:
-    """Return times (V,) and the curve of least squared jerk that passes points (V, 3) [m] at those times.
+    """Return times (V,) and the curve of least squared jerk through points (V, 3) [m] at those times.
 
-    It is the natural spline of degree five. The times are the lengths of the chords passed.
+    It is the natural spline of degree five. Times are cumulated chord lengths.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -244,10 +245,10 @@ def least_jerk(points: Array) -> tuple[Array, "BSpline"]:
     return times, make_interp_spline(times, points, k=5, bc_type=(free, free))
 
 
-def _minimum_jerk(arcs: Array, path: ShownPath, positions: Array, arc: Array, step: float) -> Array:
-    """Return the next place plus what is left there of the offset, between via points at arc lengths (V,) [m]."""
+def _minimum_jerk(arcs: Array, path: ReferencePath, positions: Array, arc: Array, step: float) -> Array:
+    """Return the next point of the path plus the decayed offset, between via points at arc lengths (V,) [m]."""
     ahead = max(1.0, np.rint(step / path.places.spacing)) * path.places.spacing
-    # By the middle of the coming step, so that at a via point the way to the next one has begun.
+    # The segment at the middle of the coming step: at a via point, the next one.
     segment = np.clip(np.searchsorted(arcs, arc + 0.5 * ahead) - 1, 0, len(arcs) - 2)
     begin, length = arcs[segment], np.diff(arcs)[segment]
     here, there = (np.clip((at - begin) / length, 0.0, 1.0) for at in (arc, arc + ahead))
@@ -257,5 +258,5 @@ def _minimum_jerk(arcs: Array, path: ShownPath, positions: Array, arc: Array, st
 
 
 def _offset_left(share: Array) -> Array:
-    """Return 1 − (10u³ − 15u⁴ + 6u⁵) for shares u (N,) of the time: the offset left of a motion of minimum jerk."""
+    """Return the remaining share of an offset in a minimum-jerk motion, 1 − (10u³ − 15u⁴ + 6u⁵) at times u (N,)."""
     return (1.0 - share) ** 3 * (1.0 + 3.0 * share + 6.0 * share**2)

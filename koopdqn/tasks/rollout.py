@@ -1,4 +1,4 @@
-"""Letting a controller move the arm from given starts until each episode ends, with nothing undone."""
+"""Roll-outs: a controller moves the arm from given starts until each episode ends; wrong actions are not undone."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,17 +9,17 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import reached_poses
-from koopdqn.tasks.reachability import REASONS, Reachability
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import REASONS, Reachability
 
 SUCCESS: Final = "success"
 STEP_LIMIT: Final = "step_limit"
 STUCK: Final = "stuck"
 RULE_BROKEN: Final = "rule_broken"
 FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
-"""Causes by which an episode can fail."""
+"""Causes of failure."""
 
-# Poses that differ by less [m, or of a quaternion's entries] are one and the same place.
+# Poses that differ by less [m, or in a quaternion's entries] are the same.
 _SAME_PLACE: Final = 1e-7
 
 Controller = Callable[[Array, Array], np.ndarray]
@@ -34,7 +34,7 @@ class Episode:
         poses: (T + 1, 7) poses passed, the start first.
         joints: (T + 1, 6) joint angles [rad].
         outcome: :data:`SUCCESS` or one of :data:`FAILURES`.
-        detail: more about a failure, for people.
+        detail: more about a failure, in words.
     """
 
     poses: Array
@@ -60,9 +60,9 @@ def roll_out(
 ) -> list[Episode]:
     """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
 
-    An action that the arm cannot take ends its episode as a failure. So does one that leaves the pose
-    unchanged: a controller without memory would choose it for ever. With ``cut_circles`` an episode that comes back to
-    one of its poses ends there, as one that reaches the limit: that is where it would go round to for ever.
+    An action that the arm cannot carry out ends its episode as a failure. So does one that leaves the pose unchanged: a
+    controller without memory would repeat it until the limit. With ``cut_circles`` an episode that returns to one of
+    its poses ends there as a step limit, since it would go round in a circle until the limit.
     """
     seen: list[set[bytes]] = [set() for _ in starts]
     runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
@@ -85,7 +85,7 @@ def roll_out(
 
 
 def follow(paths: list[Array], task: Task, reachability: Reachability, joints: Array) -> list[Episode]:
-    """Return the episodes of following given paths (T, 7), each begun with its joints (6,), to end or failure."""
+    """Return the episodes of following given paths (T, 7), each from its joints (6,), to the end or a failure."""
     runs = [_Run([path[0]], [angles]) for path, angles in zip(paths, joints, strict=True)]
     for t in range(1, max(map(len, paths), default=0)):
         active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
@@ -106,7 +106,7 @@ class _Run:
 
 
 def _advance(runs: list[_Run], reached: Array, task: Task, reachability: Reachability) -> None:
-    """Take runs one step on, each to its pose of those reached (N, 7), and end those that this ends."""
+    """Move runs one step to the reached poses (N, 7), and set the outcome of those that end."""
     motions = reachability.move_batch(reached, np.array([run.joints[-1] for run in runs]))
     before = np.array([run.poses[-1] for run in runs])
     stuck = pose.position_distance(reached, before) == 0

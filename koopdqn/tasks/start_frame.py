@@ -1,4 +1,4 @@
-"""Poses told as if every path had begun at one start, where paths keep beside one another what their starts do."""
+"""The start frame: poses expressed as if every path had begun at the nominal start."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,64 +10,64 @@ from koopdqn import pose
 from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 
-# Moving must bring demonstrations that much nearer [m]; less is rounding.
+# The frame must bring demonstrations nearer by more than this [m]; less is rounding.
 _LEAST_GAIN_M = 1e-6
-# Of the fixed point that takes a placed pose back: its error shrinks by the share of the way that a start is off.
+# Fixed-point iterations of the inverse; each shrinks the error by the start's offset as a share of the way.
 _ITERATIONS = 12
 
 
 @dataclass(frozen=True)
 class StartFrame:
-    """Where poses of paths from different starts are, told as from one start.
+    """The frame in which paths from different starts begin at one start.
 
-    People who begin elsewhere keep beside each other's paths for much of the way. As movement primitives do, the
-    offset of the start then fades on the way to the goal: a position p is told as p − w·(start − nominal start) with
-    w = min(1, ‖p − goal‖ / ‖start − goal‖). Orientations stay as they are.
+    Paths from different starts often keep their offset for much of the way. As with movement primitives, the start's
+    offset is subtracted and fades toward the goal: position p becomes p − w·(start − nominal start) with
+    w = min(1, ‖p − goal‖ / ‖start − goal‖). Orientations stay.
 
     Attributes:
         start: (3,) the nominal start [m].
         goal: (3,) where all paths end [m].
-        follows: whether paths follow their start; if not, poses are told as they are.
+        follows: whether paths follow their start; if not, the frame is the identity.
     """
 
     start: Array
     goal: Array
     follows: bool
 
-    def placed(self, poses: Array, starts: Array) -> Array:
-        """Return poses (..., 7) of paths from ``starts`` (..., 7), told as from the nominal start."""
+    def to_frame(self, poses: Array, starts: Array) -> Array:
+        """Return poses (..., 7) of paths from ``starts`` (..., 7), in the frame."""
         return self._moved(poses, starts, poses, -1.0) if self.follows else poses
 
-    def unplaced(self, placed: Array, starts: Array, near: Array) -> Array:
-        """Return the poses (..., 7) near others that :meth:`placed` takes to ``placed`` (..., 7)."""
+    def from_frame(self, local: Array, starts: Array, near: Array) -> Array:
+        """Return the inverse of :meth:`to_frame` at ``local`` (..., 7), iterated from poses ``near`` (..., 7)."""
         if not self.follows:
-            return placed
+            return local
         for _ in range(_ITERATIONS):
-            near = self._moved(placed, starts, near, 1.0)
+            near = self._moved(local, starts, near, 1.0)
         return near
 
     def each(self, trajectories: Sequence[Array]) -> list[Array]:
-        """Return trajectories (N, 7), each placed by its own start."""
-        return [self.placed(rows, rows[:1]) for rows in trajectories]
+        """Return trajectories (N, 7), each in the frame by its own start."""
+        return [self.to_frame(rows, rows[:1]) for rows in trajectories]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return everything held, as arrays."""
+        """Return the frame as arrays."""
         return {"start": self.start, "goal": self.goal, "follows": np.array(self.follows)}
 
     def described(self) -> dict[str, Any]:
-        """Return everything held, as JSON values."""
+        """Return the frame as JSON values."""
         return {"start": self.start.tolist(), "goal": self.goal.tolist(), "follows": self.follows}
 
     @classmethod
     def restore(cls, held: dict[str, Any]) -> "StartFrame":
-        """Return the frame whose :meth:`arrays` or :meth:`described` these are."""
+        """Return the frame with these :meth:`arrays` or :meth:`described` values."""
         return cls(np.array(held["start"], dtype=float), np.array(held["goal"], dtype=float), bool(held["follows"]))
 
     @classmethod
     def chosen(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
-        """Return the frame in which the mean of all trajectories (N, 7) but one is nearer to that one.
+        """Return the frame in which the mean of the other trajectories (N, 7) is nearer to the one left out.
 
-        Of a single demonstration nobody can tell, and paths stay where they are.
+        For a single demonstration it is the identity.
 
         Args:
             trajectories: demonstrated poses at the agent's step.
@@ -82,19 +82,19 @@ class StartFrame:
         return moved if gain > _LEAST_GAIN_M else still
 
     def _left_out_gap(self, trajectories: Sequence[Array]) -> float:
-        """Return the mean distance [m] of trajectories from the mean of the others, moved to their start."""
+        """Return the mean distance [m] of trajectories from the mean of the others, transformed to their start."""
         from scipy.spatial import cKDTree
 
-        placed = self.each(trajectories)
+        local = self.each(trajectories)
         gaps = []
         for index, rows in enumerate(trajectories):
-            mean = mean_poses(placed[:index] + placed[index + 1 :], len(rows))
-            path = self.unplaced(mean, rows[:1], mean)
+            mean = mean_poses(local[:index] + local[index + 1 :], len(rows))
+            path = self.from_frame(mean, rows[:1], mean)
             gaps.append(cKDTree(path[:, pose.POSITION]).query(rows[:, pose.POSITION])[0].mean())
         return float(np.mean(gaps))
 
     def _moved(self, poses: Array, starts: Array, weighed: Array, sign: float) -> Array:
-        """Return poses (..., 7) moved by what starts (..., 7) are off, as far as it counts at ``weighed`` (..., 7)."""
+        """Return poses (..., 7) moved by the offset of starts (..., 7), weighted as at ``weighed`` (..., 7)."""
         left = pose.norm(weighed[..., pose.POSITION] - self.goal, keepdims=True)
         whole = pose.norm(starts[..., pose.POSITION] - self.goal, keepdims=True)
         offset = starts[..., pose.POSITION] - self.start
@@ -103,4 +103,4 @@ class StartFrame:
 
 
 STILL = StartFrame(np.zeros(3), np.zeros(3), follows=False)
-"""The frame that tells every pose as it is."""
+"""The identity."""

@@ -1,4 +1,4 @@
-"""One step of the agent toward a wished pose, scaled in position and turn together as the ten actions can make it."""
+"""One step of the agent toward a wished pose, with motion and turn scaled to what the ten actions can do."""
 
 import numpy as np
 
@@ -8,24 +8,23 @@ from koopdqn.pose import Array
 IN_PLACE = 2.0
 """Rotation tolerances by which one action of Table 1 turns in place."""
 
-# Of a turn in place: what no action need make up for, and the most that one matches on its way to the goal. A little
-# less than the tolerance would allow (0.5 and 2.5), so that rounding makes no right action wrong.
+# Shares of a turn in place: the turn that needs no action, and the most that an action toward the goal matches. A
+# little less than the tolerance allows (0.5 and 2.5), so that rounding makes no right action wrong.
 _LITTLE, _ON_THE_WAY = 0.45, 2.4
-# Cosine of 30°: a motion less far off the way to the goal is well made by an action that goes and turns there.
+# Cosine of 30°: within this angle of the goal's direction an action that moves and turns to the goal is close enough.
 _TOWARD = 0.866
 
 
 def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float) -> Array:
     """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), at most up to the goal (7,).
 
-    Table 1 turns along the geodesic to the goal only, so of the wished turn the part ω [rad] that goes there counts.
-    Where there is little to turn, or the motion heads for the goal, a step is a whole one. Elsewhere Table 1 turns in
-    place only: motion v [m] and turn are scaled until (v/step)² + (ω/turn)² = 1, and the more there is to turn, the
-    less the pose moves.
+    Table 1 turns along the geodesic to the goal only, so only that part ω [rad] of the wished turn counts. With a small
+    turn, or a motion toward the goal, the motion is a full step. Otherwise Table 1 turns in place only: motion v [m]
+    and turn are scaled to (v/step)² + (ω/turn)² = 1, so that a larger turn means a shorter motion.
 
     Args:
-        poses: where the tool is.
-        wished: where it should be some time.
+        poses: present poses.
+        wished: poses to go toward.
         goal: the goal pose.
         step: distance of one step [m].
         turn: turn of one step in place [rad].
@@ -51,5 +50,5 @@ def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float)
 
 
 def _turn_between(quaternions: Array, others: Array) -> Array:
-    """Return the rotation vectors (N, 3) [rad] from quaternions (N, 4) to others (N, 4) or one, the short way."""
+    """Return the rotation vectors (N, 3) [rad] from quaternions (N, 4) to others (N, 4) or (4,)."""
     return pose.to_rotation_vector(pose.multiply(pose.conjugate(quaternions), others))

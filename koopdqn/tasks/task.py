@@ -1,4 +1,4 @@
-"""What a task is: its poses, its scene, its person and its rule."""
+"""The interface of a task: its poses, its scene, its person and its rule."""
 
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -11,7 +11,7 @@ from koopdqn import pose
 from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
 from koopdqn.settings import Settings, Vector3, Vector4
-from koopdqn.tasks.person import AnyPerson, Law, ShownPath
+from koopdqn.tasks.person import AnyPerson, Expert, ReferencePath
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 
 Waypoints = Annotated[tuple[Vector3, ...], Strict(False), Field(min_length=2)]
 
-# Half the angle between neighbours of the six axes and the goal direction is at most 54.7°, an error of
-# 2 sin(54.7°/2) = 0.92 of a step; so the step may exceed the tolerance by at most 1/0.92.
+# No direction is farther than 54.7° from the nearest axis, an error of 2 sin(54.7°/2) = 0.92 steps; so the step may
+# be at most 1/0.92 tolerances for some action to be right always.
 MAX_STEP_PER_TOLERANCE = 1.087
-# A turn of up to this many rotation tolerances in one step can be matched by an action.
+# An action matches a turn of up to this many rotation tolerances in one step.
 TURNS_PER_STEP = 5.0
 _LEAST_CHORD_M = 1e-3
-# The paper's lift has no constant; a yaw that stays at this value [rad] is one.
+# The paper's lift has no constant observable; a constant yaw [rad] serves as one.
 _CONSTANT_YAW = 1.0
 
 
 class TaskChoice(Settings, ABC):
-    """What an option of the group ``task`` describes: a task, or how one is made from demonstrations."""
+    """An option of the group ``task``: a task, or how one is made from demonstrations."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
 
 
 class Task(TaskChoice):
-    """A task: from a start region to a goal, as a person would do it. Subclass it for a new one.
+    """A motion from a start region to a goal, as a person would do it. Subclass it for a new task.
 
     All poses are of the flange in UR Base.
     """
@@ -99,20 +99,20 @@ class Task(TaskChoice):
 
     @property
     def person_frame(self) -> StartFrame:
-        """In which frame the person's law knows poses: as they are, unless the person follows their start."""
+        """The start frame of the expert; the identity unless the person's path follows its start."""
         return STILL
 
     def turned(self, share: Array) -> Array:
-        """Return the share (N,) of the turn from start to goal that is made at shares (N,) of the path shown.
+        """Return the share (N,) of the turn from start to goal made at shares (N,) of the reference path.
 
-        All of it, where orientation is held.
+        It is 1 where orientation is held.
         """
         return np.ones_like(share)
 
     def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
-        """Return what evaluation reports of a path (T, 7) for this task alone: ``task_measures`` of ``eval.json``.
+        """Return this task's own measures of a path (T, 7), which ``eval.json`` holds as ``task_measures``.
 
-        Every path gives the same names; a step takes ``step_seconds`` [s].
+        Every path gives the same names. A step takes ``step_seconds`` [s].
         """
         return {}
 
@@ -130,9 +130,8 @@ class Task(TaskChoice):
     def frame(self) -> Array:
         """Two quaternions (2, 4), left L and right R: roll, pitch and yaw of an orientation q are those of L⁻¹ q R.
 
-        Where orientation is held, L is the goal's and R the identity. Otherwise the turn from start to goal
-        becomes roll, from minus to plus half of it, while pitch stays near 0 and yaw near 1 rad: away from the
-        angles' singularity and from ±180°.
+        Where orientation is held, L is the goal's and R the identity. Otherwise the turn from start to goal is roll,
+        from minus to plus half of it, with pitch near 0 and yaw near 1 rad: far from the singularity and from ±180°.
         """
         goal, start = self.goal[pose.QUATERNION], self.nominal_start[pose.QUATERNION]
         turn = pose.to_rotation_vector(pose.multiply(pose.conjugate(goal), start))
@@ -157,36 +156,36 @@ class Task(TaskChoice):
         return pose.make(self.waypoints[0], self.start_quaternion)
 
     @cached_property
-    def shown_path(self) -> ShownPath:
-        """The path of poses that the person is shown: through the waypoints, turned as :meth:`turned` says."""
+    def reference_path(self) -> ReferencePath:
+        """The path for the person to follow: through the waypoints, turned as :meth:`turned` says."""
         places = SmoothPath.through(self.waypoints)
         turn = pose.rotation_distance(self.nominal_start, self.goal)
         angle = turn * self.turned(np.linspace(0.0, 1.0, len(places.points)))
         start = np.tile(self.nominal_start[pose.QUATERNION], (len(angle), 1))
-        return ShownPath(places, pose.turned_toward(start, self.goal[pose.QUATERNION], angle))
+        return ReferencePath(places, pose.turned_toward(start, self.goal[pose.QUATERNION], angle))
 
     @cached_property
     def nominal_path(self) -> SmoothPath:
-        """The path a person means, without variation."""
+        """The positions of the demonstrator's path, without variation."""
         return self.demonstrator.path.places
 
     @cached_property
-    def demonstrator(self) -> Law:
-        """The person's law without variation: what the scripted oracle answers from."""
-        return self.law()
+    def demonstrator(self) -> Expert:
+        """The expert without variation, with the agent's step; the scripted oracle answers from it."""
+        return self.expert()
 
-    def law(self, finer: int = 1) -> Law:
-        """Return the person's law, with steps ``finer`` times smaller than the agent's."""
+    def expert(self, finer: int = 1) -> Expert:
+        """Return the task's person as an expert, with steps ``finer`` times smaller than the agent's."""
         turn = IN_PLACE * self.rotation_tolerance_rad if self.orientation == "learned" else 0.0
-        return self.person.law(self.shown_path, self.goal, self.step_m / finer, turn / finer)
+        return self.person.expert(self.reference_path, self.goal, self.step_m / finer, turn / finer)
 
     def with_starts_scaled(self, scale: float) -> Self:
-        """Return the task with the half ranges of its start region times ``scale``; tilts stay."""
+        """Return the task with its start region scaled by ``scale``; tilts stay."""
         x, y, z = self.start_half_range_m
         return self.model_copy(update={"start_half_range_m": (scale * x, scale * y, scale * z)})
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7) drawn evenly from the start region, turned about the turn's own axis."""
+        """Return ``count`` poses (count, 7) drawn uniformly from the start region, tilts about the turn's axis."""
         half = np.array(self.start_half_range_m)
         positions = self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3))
         poses = pose.make(positions, self.start_quaternion)
@@ -199,7 +198,7 @@ class Task(TaskChoice):
         return poses
 
     def draw_demonstrated_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7) from where demonstrations begin; a task may begin elsewhere too."""
+        """Return ``count`` poses (count, 7) drawn from where demonstrations begin; tasks may begin elsewhere too."""
         return self.draw_starts(rng, count)
 
     def reached(self, poses: Array) -> np.ndarray:
@@ -222,7 +221,7 @@ def quaternions_in(frame: Array, angles: Array) -> Array:
     return pose.multiply(left, pose.multiply(pose.from_roll_pitch_yaw(angles), pose.conjugate(right)))
 
 
-def demonstrator_wishes(task: Task, poses: Array, starts: Array) -> Array:
-    """Return where the demonstrator would be (N, 7) a step after poses (N, 7) of episodes from ``starts`` (N, 7)."""
+def demonstrator_next_poses(task: Task, poses: Array, starts: Array) -> Array:
+    """Return the demonstrator's next poses (N, 7) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
     frame = task.person_frame
-    return frame.unplaced(task.demonstrator.next_pose(frame.placed(poses, starts)), starts, poses)
+    return frame.from_frame(task.demonstrator.next_pose(frame.to_frame(poses, starts)), starts, poses)

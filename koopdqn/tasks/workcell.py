@@ -1,23 +1,190 @@
-"""The workcell: a task, the arm that does it, and the scene it stands in."""
+"""The workcell: a task, the arm that does it, the scene it stands in, and which motions the arm can make there."""
 
 from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
 
 from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.scene import Scene, SceneBuilder
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.task import Task
+
+COLLISION: Final = "collision"
+UNREACHABLE: Final = "unreachable"
+JUMP: Final = "posture_jump"
+# Reasons to refuse a motion.
+REASONS: Final = (UNREACHABLE, JUMP, COLLISION)
+# A joint that turns more than this in a step of millimetres [rad] has changed to another solution of the inverse
+# kinematics.
+_JUMP = 0.5
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The result of a motion.
+
+    Attributes:
+        joints: joint angles (6,) [rad] after it, or None if it is refused.
+        reason: one of :data:`REASONS`, or an empty string.
+        detail: the reason in words.
+    """
+
+    joints: Array | None
+    reason: str = ""
+    detail: str = ""
+
+
+class Reachability:
+    """The arm in a scene, moved kinematically.
+
+    Attributes:
+        arm: the arm.
+        scene: the scene.
+        step_seconds: least duration of one step [s].
+        posture: joint angles (6,) [rad]; a path begins with the solution nearest to them.
+    """
+
+    def __init__(self, arm: Arm, scene: Scene, step_seconds: float, posture: Array | None = None) -> None:
+        """Set the parts; a posture of None is the arm's home."""
+        self.arm = arm
+        self.scene = scene
+        self.step_seconds = step_seconds
+        self.posture = np.array(arm.home) if posture is None else posture.copy()
+
+    def move(self, pose: Array, joints: Array) -> Motion:
+        """Return the result of moving the flange to a pose (7,) from joint angles (6,) [rad] in one step."""
+        result = self.arm.inverse(pose, joints)
+        if not result.success:
+            return Motion(None, UNREACHABLE, result.reason)
+        step = np.abs(result.joints - joints)
+        worst = int(step.argmax())
+        if step[worst] > _JUMP:
+            detail = f"{self.arm.joint_names[worst]} would jump by {step[worst]:.3f} rad, most {_JUMP} in a step"
+            return Motion(None, JUMP, detail)
+        return self._clear(result.joints)
+
+    def move_batch(self, poses: Array, joints: Array) -> list[Motion]:
+        """Return the results of N independent motions to poses (N, 7) from joint angles (N, 6) [rad]."""
+        found = self.arm.inverse_batch(poses, joints)
+        # NaN, of poses without solution, compares false; these and jumps are moved one by one for their reason.
+        near = np.abs(found - joints).max(axis=1) <= _JUMP
+        return [
+            self._clear(found[row]) if near[row] else self.move(poses[row], joints[row]) for row in range(len(poses))
+        ]
+
+    def _clear(self, joints: Array) -> Motion:
+        """Return the motion to joint angles (6,) [rad], refused if they are in collision."""
+        contact = self.scene.contact(joints)
+        return Motion(None, COLLISION, contact) if contact else Motion(joints)
+
+    def durations(self, joints: Array) -> Array:
+        """Return the durations (T − 1,) [s] of the steps along joint angles (T, 6) [rad], within velocity limits."""
+        needed = np.abs(np.diff(joints, axis=0)) / np.array(self.arm.velocity_limits)
+        return np.asarray(np.maximum(needed.max(axis=1), self.step_seconds))
+
+    def enter(self, pose: Array) -> Motion:
+        """Return the joint angles for beginning at a pose (7,): the collision-free solution nearest to the posture.
+
+        A joint with more than one turn begins in its middle turn, with room to both sides.
+        """
+        solutions = self.arm.solutions(pose, self.posture)
+        if not len(solutions):
+            return Motion(None, UNREACHABLE, self.arm.inverse(pose, self.posture).reason)
+        first = ""
+        for joints in solutions:
+            contact = self.scene.contact(joints)
+            if not contact:
+                return Motion(self._with_room(joints))
+            first = first or contact
+        return Motion(None, COLLISION, first)
+
+    def _with_room(self, joints: Array) -> Array:
+        lower, upper = np.array(self.arm.joint_lower), np.array(self.arm.joint_upper)
+        middle = 0.5 * (lower + upper)
+        wound = middle + (joints - middle + np.pi) % (2.0 * np.pi) - np.pi
+        return np.where((wound >= lower) & (wound <= upper), wound, joints)
+
+    def follow(self, poses: Array) -> tuple[Array | None, str]:
+        """Return the joint angles (N, 6) [rad] along poses (N, 7) and an empty reason, or None and the reason."""
+        joints, motion = self.follow_as_far(poses)
+        return (np.array(joints), "") if motion.joints is not None else (None, motion.reason)
+
+    def follow_as_far(self, poses: Array, joints: Array | None = None) -> tuple[list[Array], Motion]:
+        """Return the joint angles (6,) [rad] along poses (N, 7) as far as the arm can follow, and the last motion.
+
+        Args:
+            poses: to follow; a refused last motion was to the pose after those reached.
+            joints: at the first pose; None takes those of :meth:`enter`.
+        """
+        motion = self.enter(poses[0]) if joints is None else Motion(joints)
+        path: list[Array] = []
+        for pose in poses[1:]:
+            if motion.joints is None:
+                break
+            path.append(motion.joints)
+            motion = self.move(pose, motion.joints)
+        return ([*path, motion.joints] if motion.joints is not None else path), motion
+
+    def flange_poses(self, joints: Array) -> Array:
+        """Return the flange's poses (N, 7) at joint angles (N, 6) [rad], by MuJoCo."""
+        return np.array([self.scene.flange_pose(row) for row in joints])
+
+    def draw_starts(self, task: Task, rng: np.random.Generator, count: int) -> tuple[Array, Array, int]:
+        """Return reachable starts (count, 7) of a task, their joints (count, 6) [rad], and the number of refused draws.
+
+        Raises:
+            BadInputError: hardly any start of the region is reachable.
+        """
+        poses: list[Array] = []
+        joints: list[Array] = []
+        refused, detail = 0, ""
+        while len(poses) < count:
+            start = task.draw_starts(rng, 1)[0]
+            motion = self.enter(start)
+            if motion.joints is None:
+                refused, detail = refused + 1, f"{motion.reason}: {motion.detail}"
+                if refused > 50 + 20 * len(poses):
+                    raise BadInputError(
+                        f"task {task.name}: the arm must be able to take starts of the start region,"
+                        f" found {refused} refused of {refused + len(poses)} ({detail})"
+                    )
+                continue
+            poses.append(start)
+            joints.append(motion.joints)
+        return np.array(poses), np.array(joints), refused
+
+    def check(self, task: Task) -> None:
+        """Check that the task's nominal start and goal are reachable with clearance.
+
+        Raises:
+            BadInputError: one is not, or the payload is nearer than ``least_clearance_m`` to the scene.
+        """
+        for name, pose in (("start", task.nominal_start), ("goal", task.goal)):
+            motion = self.enter(pose)
+            if motion.joints is None:
+                raise BadInputError(
+                    f"task {task.name}: the {name} at {np.round(pose[:3], 4).tolist()} m must be reachable without"
+                    f" collision, found {motion.reason}: {motion.detail}"
+                )
+            clearance = self.scene.payload_clearance(motion.joints)
+            if clearance < task.least_clearance_m:
+                raise BadInputError(
+                    f"task {task.name}: at the {name} the payload must clear the scene by"
+                    f" {task.least_clearance_m * 1e3:g} mm, found {clearance * 1e3:.1f} mm"
+                )
 
 
 @dataclass(frozen=True)
 class Workcell:
-    """Everything that stands still while koopdqn works.
+    """A task, the arm, and the scene.
 
     Attributes:
-        task: what is to be done.
-        arm: which arm does it.
+        task: the task.
+        arm: the arm.
         scene: the compiled MuJoCo scene.
-        reachability: the arm moved kinematically in the scene, beginning nearest to how it takes the nominal start.
+        reachability: of motions in the scene, beginning nearest to the posture at the nominal start.
     """
 
     task: Task
@@ -30,7 +197,7 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
     """Return the workcell of a task and an arm.
 
     Raises:
-        BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
+        BadInputError: the scene does not compile, or the task's start or goal is not reachable in it.
     """
     scene = build_scene(task, arm)
     posture = Reachability(arm, scene, arm.step_seconds).enter(task.nominal_start).joints
@@ -49,7 +216,7 @@ def build_scene(task: Task, arm: Arm) -> Scene:
         builder = SceneBuilder(arm)
         task.furnish(builder)
         return builder.build()
-    # a file that is no XML is a SyntaxError
+    # MJCF that is no XML raises SyntaxError.
     except (ValueError, SyntaxError) as error:
         found = " ".join(str(error).split())
         raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {found}") from error

@@ -66,7 +66,7 @@ class PeerPolicy:
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        observations = observe(self._frame.placed(poses, starts), self._task)
+        observations = observe(self._frame.to_frame(poses, starts), self._task)
         normalised = ((observations - self._mean) / self._spread).astype(np.float32)
         return np.asarray(self._model.predict(normalised, deterministic=True)[0])
 
@@ -83,7 +83,7 @@ class _Checks(BaseCallback):
     def _on_step(self) -> bool:
         if self.n_calls % _CHECK_EVERY == 0:
             measured = self._checker.measure(self._policy)
-            self.progress.take(Check(self.n_calls, self.n_calls, 0, *measured), self._settings)
+            self.progress.add(Check(self.n_calls, self.n_calls, 0, *measured), self._settings)
         return not self.progress.learned
 
 

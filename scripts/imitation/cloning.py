@@ -89,7 +89,7 @@ class Cloning:
         self.updates += count
 
     def _observe(self, poses: Array, starts: Array) -> np.ndarray:
-        return observe(self._frame.placed(poses, starts), self._task)
+        return observe(self._frame.to_frame(poses, starts), self._task)
 
     def _drawn(self) -> tuple[np.ndarray, np.ndarray]:
         rows = self._batches.integers(len(self._actions), size=self._batch)

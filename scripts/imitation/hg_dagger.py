@@ -9,7 +9,7 @@ from imitation.inferred import Imitator
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import nearest_actions, reached_poses, within_tolerance
 from koopdqn.tasks.rollout import roll_out
-from koopdqn.tasks.task import demonstrator_wishes
+from koopdqn.tasks.task import demonstrator_next_poses
 from koopdqn.tasks.workcell import Workcell
 
 # Sets its random numbers apart from those of the other methods: 1 to 4, 6 and 7.
@@ -51,7 +51,7 @@ def corrected(
         actions = cloning.policy(poses, starts)
         if len(cloning.labels) == questions:
             return actions
-        wished = demonstrator_wishes(task, poses, starts)
+        wished = demonstrator_next_poses(task, poses, starts)
         if within_tolerance(reached_poses(poses, task)[0, actions], wished, task)[0]:
             return actions
         right = nearest_actions(poses, wished, task)

@@ -60,10 +60,10 @@ def demonstrated_transitions(trajectories: list[Array], task: Task, frame: Start
     before, after, starts, steps = demonstrated_steps(trajectories, task)
     count = len(before)
     return Transitions(
-        observations=observe(frame.placed(before, starts), task),
+        observations=observe(frame.to_frame(before, starts), task),
         actions=nearest_actions(before, after, task),
         rewards=np.zeros(count, dtype=np.float32),
-        next_observations=observe(frame.placed(after, starts), task),
+        next_observations=observe(frame.to_frame(after, starts), task),
         # The next step is the first of another demonstration, or there is none.
         terminated=np.append(steps[1:] == 0, True),
         truncated=np.zeros(count, dtype=bool),

@@ -63,7 +63,7 @@ class Sqil:
         self.learner = Learner(size(task), self._agent, weights)
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
-        self._starts = StartSampler.of_agent(workcell, frame, frame.each(trajectories), agent, step_limit)
+        self._starts = StartSampler(workcell, frame, frame.each(trajectories), step_limit, agent)
         self._batch = Episodes.empty(agent.episodes_at_once)
         self._begun = 0
         for index in range(len(self._batch)):
@@ -118,7 +118,7 @@ class Sqil:
         count = len(batch)
         before, steps = batch.poses.copy(), batch.steps.copy()
         explore = self._explore.random(count) < self._agent.epsilon(self.env_steps)
-        observations = observe(self._frame.placed(before, batch.starts), task)
+        observations = observe(self._frame.to_frame(before, batch.starts), task)
         greedy = self.learner.online.values(observations).argmax(axis=1)
         actions = np.where(explore, self._explore.integers(COUNT, size=count), greedy)
         reached = reached_poses(before, task)[np.arange(count), actions]
@@ -133,7 +133,7 @@ class Sqil:
                 actions,
                 # Nothing for the step itself; from then on it stays where the demonstrator would.
                 np.where(arrived, self._agent.gamma, 0.0).astype(np.float32),
-                observe(self._frame.placed(after, batch.starts), task),
+                observe(self._frame.to_frame(after, batch.starts), task),
                 terminated=arrived,
                 truncated=cut,
                 undone=np.zeros(count, dtype=bool),

@@ -27,9 +27,8 @@ from koopdqn.robot.arm import Arm
 from koopdqn.robot.scene import Scene
 from koopdqn.settings import load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
-from koopdqn.tasks.reachability import Reachability
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.workcell import Workcell, build_scene, open_workcell
+from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell
 
 DEMONSTRATIONS = "demos.hdf5"
 

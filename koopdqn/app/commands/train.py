@@ -19,13 +19,13 @@ from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
-from koopdqn.rl.footprint import check_device, check_memory
 from koopdqn.rl.history import Check
 from koopdqn.rl.human_reward import Budget
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
+from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.settings import shown
 
 POLICY = "policy.safetensors"

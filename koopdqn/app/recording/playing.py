@@ -10,7 +10,7 @@ from koopdqn.demonstrations.dataset import Demonstration, continuous
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import at_arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Reachability
+from koopdqn.tasks.workcell import Reachability
 
 _HALVINGS = 3
 """How often the rounding is halved where the arm cannot follow it, before it is left out."""

@@ -12,9 +12,8 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Motion, Reachability
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import Motion, Reachability, Workcell
 
 _AXES: Final = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0)}
 """Axis of the base and sense of each key that moves along one."""

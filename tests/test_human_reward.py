@@ -26,8 +26,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.tasks.reachability import COLLISION, Motion
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import COLLISION, Motion, Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
@@ -58,16 +57,23 @@ class Scripted(Clerk):
         return self.answers.get(len(self.asked) - 1) or self.expert.answer(question)
 
 
-def question_at(judged: ActionEvaluation, point: Array, action: int) -> Question:
+def question_at(evaluation: ActionEvaluation, point: Array, action: int) -> Question:
     return Question(
-        0, 0, point.copy(), point.copy(), action, judged.reached[0, action].copy(), judged.predicted[0].copy(), ""
+        0,
+        0,
+        point.copy(),
+        point.copy(),
+        action,
+        evaluation.reached[0, action].copy(),
+        evaluation.predicted[0].copy(),
+        "",
     )
 
 
 def ask(trainer: Trainer, point: Array, action: int) -> bool | None:
     """Ask about an action at a pose (7,) as training does, without an episode."""
-    judged = trainer.feedback.evaluate_actions(point[None], np.array([0]))
-    return trainer.feedback.ask(question_at(judged, point, action), judged, 0).right
+    evaluation = trainer.feedback.evaluate_actions(point[None], np.array([0]))
+    return trainer.feedback.ask(question_at(evaluation, point, action), evaluation, 0).right
 
 
 def unexpected(reward: IntentReward, point: Array) -> int:
@@ -77,9 +83,9 @@ def unexpected(reward: IntentReward, point: Array) -> int:
 
 
 def assert_same_evaluation(one: IntentReward | Feedback, two: IntentReward | Feedback, poses: Array) -> None:
-    judged, other = (each.evaluate_actions(poses, np.zeros(len(poses), dtype=int)) for each in (one, two))
+    evaluation, other = (each.evaluate_actions(poses, np.zeros(len(poses), dtype=int)) for each in (one, two))
     for name in ActionEvaluation.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(judged, name), getattr(other, name), err_msg=name)
+        np.testing.assert_array_equal(getattr(evaluation, name), getattr(other, name), err_msg=name)
 
 
 @pytest.mark.parametrize("right", [True, False])
@@ -96,13 +102,13 @@ def test_an_answer_holds_for_its_action_nearby_and_names_itself(
     here = _margin_at(trainer, point, action)
     around = [point + sign * 2e-4 * np.eye(7)[axis] for axis in range(3) for sign in (-1, 1)]
     near = next(place for place in around if (_margin_at(trainer, place, action) >= here) == right)
-    judged = trainer.feedback.evaluate_actions(np.array([point, near, far]), np.array([0, 0, 0]))
-    np.testing.assert_array_equal(judged.known[:, action], [True, True, False])
+    evaluation = trainer.feedback.evaluate_actions(np.array([point, near, far]), np.array([0, 0, 0]))
+    np.testing.assert_array_equal(evaluation.known[:, action], [True, True, False])
     for row in (0, 1):
-        assert judged.source[row, action] == REMEMBERED
-        assert judged.answer[row, action] == 0
-        assert (judged.reward[row, action] >= 0) == right
-    others = np.delete(judged.source, action, axis=1)
+        assert evaluation.source[row, action] == REMEMBERED
+        assert evaluation.answer[row, action] == 0
+        assert (evaluation.reward[row, action] >= 0) == right
+    others = np.delete(evaluation.source, action, axis=1)
     assert not (others == REMEMBERED).any()
 
 
@@ -159,12 +165,12 @@ def test_an_unexpected_yes_moves_the_model_and_the_stored_rewards_nearby(make: M
     assert gaps[1] < 0.1 * gaps[0]
     held = trainer.replay.held()
     rows = np.flatnonzero(held.sources == CERTIFIED)
-    judged = after.evaluate_actions(held.poses[rows], held.steps[rows])
+    evaluation = after.evaluate_actions(held.poses[rows], held.steps[rows])
     each = np.arange(len(rows)), held.actions[rows]
-    assert judged.known[each].all()
-    np.testing.assert_allclose(held.rewards[rows], judged.reward[each], atol=1e-6)
+    assert evaluation.known[each].all()
+    np.testing.assert_allclose(held.rewards[rows], evaluation.reward[each], atol=1e-6)
     np.testing.assert_array_equal(held.undone[rows], held.rewards[rows] < 0)
-    np.testing.assert_array_equal(held.terminated[rows], judged.at_goal[each] & (held.rewards[rows] >= 0))
+    np.testing.assert_array_equal(held.terminated[rows], evaluation.at_goal[each] & (held.rewards[rows] >= 0))
     assert trainer.feedback.recomputed > 0
 
 
@@ -242,11 +248,11 @@ def test_a_better_action_is_known_and_right_at_the_pose(make: Make, trajectories
         trainer = make(Scripted(Clerk(), {0: Answer(False, "clerk", better=8)}), feedback=feedback)
         point = trajectories[0][100]
         assert ask(trainer, point, 5) is False
-        judged = trainer.feedback.evaluate_actions(point[None], np.array([0]))
-        assert judged.known[0, 8]
-        assert judged.reward[0, 8] > 0
-        assert judged.known[0, 5]
-        assert judged.reward[0, 5] < 0
+        evaluation = trainer.feedback.evaluate_actions(point[None], np.array([0]))
+        assert evaluation.known[0, 8]
+        assert evaluation.reward[0, 8] > 0
+        assert evaluation.known[0, 5]
+        assert evaluation.reward[0, 5] < 0
 
 
 def test_a_better_action_is_taken_next_even_if_it_was_passed_over(make: Make) -> None:
@@ -318,7 +324,7 @@ def test_what_a_contradiction_forgets_is_not_known_to_other_episodes_of_the_roun
     assert trainer.feedback.evaluate_actions(beside[None], np.array([0])).known[0, 5]
     changes = trainer.feedback.changes
     trainer.feedback.contradict(here)
-    assert trainer.feedback.changes == changes + 1, "whoever has judged before must judge anew"
+    assert trainer.feedback.changes == changes + 1, "an evaluation made before must be made anew"
     assert not trainer.feedback.evaluate_actions(beside[None], np.array([0])).known[0, 5]
     trainer.feedback.contradict(here)
     assert trainer.feedback.changes == changes + 1, "nothing is left to forget"
@@ -418,7 +424,7 @@ class _Refusing:
         return [self.move(*each) for each in zip(poses, joints, strict=True)]
 
 
-def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_vouch_for(
+def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_support(
     parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]
 ) -> None:
     clerk = Clerk()
@@ -428,8 +434,8 @@ def test_nobody_is_asked_where_the_arm_cannot_do_what_demonstrations_vouch_for(
     trust = replace(reward.trust, doubt=np.full_like(reward.trust.doubt, 0.5))
     trainer.feedback.reward = IntentReward(reward.task, reward.model, trust, reward.settings)
     trainer.env.episodes.poses[0] = trainer.env.episodes.starts[0] = trajectories[0][60]
-    judged = trainer.env.evaluate_actions()
-    assert (judged.source == ASKED).any(), "some action must be left to ask about"
+    evaluation = trainer.env.evaluate_actions()
+    assert (evaluation.source == ASKED).any(), "some action must be left to ask about"
     trainer.workcell = replace(workcell, reachability=_Refusing())  # type: ignore[arg-type]
     number = trainer.env.episodes.numbers[0]
     for _ in range(10):
@@ -448,4 +454,4 @@ def test_what_an_answer_would_settle_leaves_out_what_demonstrations_speak_of(
     doubted = replace(reward.trust, doubt=np.full_like(reward.trust.doubt, np.inf))
     for trust, settled in ((trainer.feedback._base.trust, True), (doubted, False)):
         trainer.feedback._base = IntentReward(reward.task, reward.model, trust, reward.settings)
-        assert trainer.feedback.covers(here[None], here, 0) == settled
+        assert trainer.feedback.extension_contains(here[None], here, 0) == settled

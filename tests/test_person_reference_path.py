@@ -4,14 +4,14 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.person import ShownPath
+from koopdqn.tasks.person import ReferencePath
 
 UPRIGHT = np.array([0.0, 1.0, 0.0, 0.0])
 MARGIN = 0.0005
 
 
-def shown(positions: Array) -> ShownPath:
-    return ShownPath.along(pose.make(positions, UPRIGHT))
+def shown(positions: Array) -> ReferencePath:
+    return ReferencePath.along(pose.make(positions, UPRIGHT))
 
 
 STRAIGHT = shown(np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]]))
@@ -33,7 +33,7 @@ def test_where_a_path_passes_twice_the_later_place_is_taken(x: float, y: float) 
 def test_orientations_are_those_at_the_places() -> None:
     turns = pose.from_rotation_vector(np.linspace(0.0, 1.0, 50)[:, None] * [1.0, 0.0, 0.0])
     positions = np.linspace(0.0, 0.3, 50)[:, None] * [0.0, 0.0, 1.0]
-    path = ShownPath.along(pose.make(positions, turns))
+    path = ReferencePath.along(pose.make(positions, turns))
     arc = np.array([-1.0, 0.0, 0.06, 0.15, 0.3, 1.0])
     wanted = pose.from_rotation_vector(np.clip(arc / 0.3, 0, 1)[:, None] * [1.0, 0.0, 0.0])
     found = pose.make(np.zeros(3), path.turned_at(arc))

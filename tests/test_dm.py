@@ -118,11 +118,11 @@ def test_the_goal_terminates_with_discount_zero(workcell: Workcell, reward: Inte
     environment = KoopmanEnvironment(EnvironmentParts(workcell, reward, ScriptedOracle(task), 3000), 3)
     timestep = environment.reset()
     for _ in range(1000):
-        judged = reward.evaluate_actions(environment.pose[None], np.array([0]))
+        evaluation = reward.evaluate_actions(environment.pose[None], np.array([0]))
         wished = task.demonstrator.next_pose(environment.pose[None])[0]
         # One in forty of the model's rewards is not the demonstrator's; a wrong action is undone.
-        right = np.flatnonzero(judged.reward[0] >= 0)
-        nearest = right[np.linalg.norm(judged.reached[0, right, :3] - wished[:3], axis=1).argmin()]
+        right = np.flatnonzero(evaluation.reward[0] >= 0)
+        nearest = right[np.linalg.norm(evaluation.reached[0, right, :3] - wished[:3], axis=1).argmin()]
         timestep = environment.step(int(nearest))
         if timestep.last():
             break
@@ -174,13 +174,13 @@ def test_where_the_model_is_trusted_nobody_is_asked(workcell: Workcell, reward: 
     environment = KoopmanEnvironment(EnvironmentParts(workcell, sure, clerk, 100), 1)
     environment.reset()
     for _ in range(30):
-        judged = sure.evaluate_actions(environment.pose[None], np.array([0]))
+        evaluation = sure.evaluate_actions(environment.pose[None], np.array([0]))
         asked = len(clerk.asked)
-        action = int(judged.reward[0].argmax())
+        action = int(evaluation.reward[0].argmax())
         timestep = environment.step(action)
-        assert (len(clerk.asked) > asked) == (not judged.known[0, action])
-        if judged.known[0, action]:
-            assert timestep.reward == judged.reward[0, action]
+        assert (len(clerk.asked) > asked) == (not evaluation.known[0, action])
+        if evaluation.known[0, action]:
+            assert timestep.reward == evaluation.reward[0, action]
 
 
 def test_observations_are_the_agents(make: Make, workcell: Workcell) -> None:

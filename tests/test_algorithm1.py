@@ -31,8 +31,8 @@ SHAPED_BY = {"seed": 0}
 
 @pytest.fixture
 def make(parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: list[Array]) -> Make:
-    def trainer(oracle: Oracle | None = None, judged_by: IntentReward = reward, **changes: Any) -> Trainer:
-        return small_trainer(parts, workcell, judged_by, trajectories, oracle, **changes)
+    def trainer(oracle: Oracle | None = None, rewarded_by: IntentReward = reward, **changes: Any) -> Trainer:
+        return small_trainer(parts, workcell, rewarded_by, trajectories, oracle, **changes)
 
     return trainer
 
@@ -87,22 +87,22 @@ def test_where_people_follow_their_start_the_agent_sees_poses_as_from_the_nomina
     frame = StartFrame(task.nominal_start[:3], task.goal[:3], follows=True)
     following = IntentReward(task, reward.model.within(frame), reward.trust, reward.settings)
     clerk = Clerk()
-    trainer = make(clerk, judged_by=untrusting(following), agent={"replay": 10_000}, train={"max_steps": 300})
+    trainer = make(clerk, rewarded_by=untrusting(following), agent={"replay": 10_000}, train={"max_steps": 300})
     trainer.run()
     assert trainer.policy.frame is frame
     held = trainer.replay.held()
-    placed = frame.placed(held.poses, held.starts)
-    np.testing.assert_array_equal(held.observations, observe(placed, task))
-    assert np.abs(placed - held.poses).max() > 1e-3
+    local = frame.to_frame(held.poses, held.starts)
+    np.testing.assert_array_equal(held.observations, observe(local, task))
+    assert np.abs(local - held.poses).max() > 1e-3
     batch = trainer.env.episodes
-    np.testing.assert_array_equal(trainer.env.evaluate_actions().placed, frame.placed(batch.poses, batch.starts))
+    np.testing.assert_array_equal(trainer.env.evaluate_actions().local, frame.to_frame(batch.poses, batch.starts))
     begun = [asked for asked in clerk.asked if asked.step == 0]
     assert begun
     for asked in clerk.asked:
         first = next(each for each in clerk.asked if each.episode == asked.episode)
         np.testing.assert_array_equal(asked.start, first.start)
     arrays, about = trainer.state()
-    again = make(Clerk(), judged_by=untrusting(following), agent={"replay": 10_000}, train={"max_steps": 300})
+    again = make(Clerk(), rewarded_by=untrusting(following), agent={"replay": 10_000}, train={"max_steps": 300})
     again.restore(arrays, json.loads(json.dumps(about)))
     assert_same_run(again, trainer)
 
@@ -248,7 +248,7 @@ def test_a_run_goes_on_after_its_limit_is_raised(make: Make) -> None:
 
 
 def test_with_an_oracle_that_is_always_right_every_answer_agrees(make: Make, reward: IntentReward) -> None:
-    trainer = make(judged_by=half_trusting(reward), train=UNCHECKED)
+    trainer = make(rewarded_by=half_trusting(reward), train=UNCHECKED)
     trainer.run()
     history = trainer.history
     assert history.labelled[ASKED] == trainer.questions > 0
@@ -260,22 +260,22 @@ def test_nothing_is_asked_twice_nor_where_it_is_known(make: Make, workcell: Work
     expert = ScriptedOracle(workcell.task)
     clerk = Clerk(lambda question: expert.answer(question).right)
     narrow = half_trusting(reward)
-    trainer = make(clerk, judged_by=narrow, train=UNCHECKED)
+    trainer = make(clerk, rewarded_by=narrow, train=UNCHECKED)
     trainer.run()
     keys = [(asked.episode, asked.step, asked.action) for asked in clerk.asked]
     assert len(keys) == len(set(keys)) == trainer.questions > 0
     for asked in clerk.asked:
-        judged = narrow.evaluate_actions(asked.pose[None], np.array([asked.step]))
-        assert not judged.known[0, asked.action]
-        np.testing.assert_array_equal(judged.reached[0, asked.action], asked.reached)
+        evaluation = narrow.evaluate_actions(asked.pose[None], np.array([asked.step]))
+        assert not evaluation.known[0, asked.action]
+        np.testing.assert_array_equal(evaluation.reached[0, asked.action], asked.reached)
         # A batch of another size rounds its matrix products otherwise.
-        np.testing.assert_allclose(judged.predicted[0], asked.predicted, atol=1e-12)
+        np.testing.assert_allclose(evaluation.predicted[0], asked.predicted, atol=1e-12)
         assert asked.reason
 
 
 def test_the_likeliest_action_is_asked_first(make: Make, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: False)
-    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 6}, feedback=FORGETFUL)
+    trainer = make(clerk, rewarded_by=untrusting(reward), train={"max_episodes": 6}, feedback=FORGETFUL)
     trainer.run()
     by_episode: dict[int, list[Question]] = {}
     for asked in clerk.asked:
@@ -289,7 +289,7 @@ def test_the_likeliest_action_is_asked_first(make: Make, reward: IntentReward) -
 def test_wrong_actions_are_undone_stored_and_end_an_episode_when_none_is_left(make: Make, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: False)
     settings = {"train": {"max_episodes": 8}, "agent": {"exploring_starts": 0.0}, "feedback": FORGETFUL}
-    trainer = make(clerk, judged_by=untrusting(reward), **settings)
+    trainer = make(clerk, rewarded_by=untrusting(reward), **settings)
     trainer.run()
     history = trainer.history
     assert set(history.lengths) == {0}
@@ -310,7 +310,7 @@ def test_wrong_actions_are_undone_stored_and_end_an_episode_when_none_is_left(ma
 
 def test_skipped_questions_teach_nothing_and_do_not_hang(make: Make, reward: IntentReward) -> None:
     clerk = Clerk(lambda question: None)
-    trainer = make(clerk, judged_by=untrusting(reward), train={"max_episodes": 8}, feedback=FORGETFUL)
+    trainer = make(clerk, rewarded_by=untrusting(reward), train={"max_episodes": 8}, feedback=FORGETFUL)
     trainer.run()
     assert trainer.questions == len(clerk.asked) > 0
     assert trainer.history.labelled[ASKED] == 0
@@ -374,7 +374,7 @@ def test_an_interrupted_run_goes_on_from_its_checkpoint_and_journal_and_asks_no_
         "agent": {"updates_per_round": 1, "warm_up": 20},
         "train": {"check_every": 10, "max_steps": 300},
         "feedback": FORGETFUL,
-        "judged_by": untrusting(reward),
+        "rewarded_by": untrusting(reward),
     }
     expert = ScriptedOracle(workcell.task)
     whole = make(expert, **settings)
@@ -418,7 +418,7 @@ def test_what_is_learned_from_agrees_with_the_scripted_expert(
     clerk = Clerk()
     clerk.rule = lambda asked: bool(demonstrator_agrees(workcell.task, asked.pose[None], asked.reached[None])[0])
     settings = {"agent": {"replay": 10_000}, "train": {"max_steps": 300, **UNCHECKED}, "feedback": FORGETFUL}
-    trainer = make(clerk, judged_by=untrusting(reward), **settings)
+    trainer = make(clerk, rewarded_by=untrusting(reward), **settings)
     trainer.run()
     rewards = trainer.state()[0]["replay/rewards"]
     asked_right = sum(bool(clerk.rule(asked)) for asked in clerk.asked)

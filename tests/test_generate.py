@@ -11,9 +11,8 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import generate, smooth_variation
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Motion, Reachability
 from koopdqn.tasks.shelf import ShelfTask
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import Motion, Reachability, Workcell
 
 
 def hausdorff(a: Array, b: Array) -> float:

@@ -7,8 +7,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import COLLISION, JUMP, UNREACHABLE, Reachability
-from koopdqn.tasks.workcell import Workcell, open_workcell
+from koopdqn.tasks.workcell import COLLISION, JUMP, UNREACHABLE, Reachability, Workcell, open_workcell
 
 
 def entered(workcell: Workcell, at: Array) -> Array:

@@ -5,10 +5,9 @@ from parts import Parts
 
 from koopdqn.errors import BadInputError
 from koopdqn.rl.dqn import Adam, Learner, load_arrays, q_targets
-from koopdqn.rl.footprint import check_device
 from koopdqn.rl.network import QNetwork
 from koopdqn.rl.replay_buffer import FIELDS, Transitions
-from koopdqn.rl.settings import AgentSettings
+from koopdqn.rl.settings import AgentSettings, check_device
 
 ONLINE = torch.tensor([[1.0, 5.0, 2.0], [7.0, 0.0, 1.0], [3.0, 2.0, 9.0]])
 TARGET = torch.tensor([[10.0, 20.0, 30.0], [40.0, 50.0, 60.0], [70.0, 80.0, 90.0]])

@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from koopdqn.intent.koopman import (
     KoopmanModel,
-    koopman_matrix,
     koopman_of_blocks,
     koopman_rows,
     snapshot_pairs,
@@ -21,6 +20,11 @@ class _StateOnly(Observables):
 
     def features(self, states: Array) -> Array:
         return np.empty((len(states), 0))
+
+
+def koopman_matrix(before: Array, after: Array, ridge: float = 0.0) -> Array:
+    """Return the whole K of pairs of equal weight."""
+    return koopman_rows(before, after, np.ones(len(before)), (ridge,))[0]
 
 
 def shelf_data(trajectories: list[Array]) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import Fitted, agent_steps, fit, unmatched_share
-from koopdqn.intent.koopman import koopman_matrix
+from koopdqn.intent.koopman import koopman_rows
 from koopdqn.intent.observables import SecondOrder
 from koopdqn.paths import to_count
 from koopdqn.pose import Array
@@ -35,7 +35,7 @@ def test_the_report_says_what_is_computed_by_hand_on_a_tiny_case(paper: Parts) -
     for index, held_out in enumerate(paths):
         others = [path for i, path in enumerate(paths) if i != index]
         before, after = (np.concatenate([path[part] for path in others]) for part in (slice(-1), slice(1, None)))
-        matrix = koopman_matrix(lift(before), lift(after))
+        (matrix,) = koopman_rows(lift(before), lift(after), np.ones(len(before)), (0.0,))
         errors.append((lift(held_out[:-1]) @ matrix.T)[:, :3] - held_out[1:])
     sizes = np.linalg.norm(errors, axis=2)
     summary = report["one_step_error_m"]

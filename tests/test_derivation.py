@@ -1,4 +1,4 @@
-"""The task made from demonstrations: what is derived, its law, its starts."""
+"""The task made from demonstrations: what is derived, its expert, its starts."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import load_settings
-from koopdqn.tasks.person import Law, Pursuit, ShownPath
+from koopdqn.tasks.person import Expert, Pursuit, ReferencePath
 from koopdqn.tasks.task import Task
 
 RECIPE = derivation()
@@ -151,7 +151,9 @@ def test_a_short_demonstration_has_a_shorter_step() -> None:
     demonstration=st.integers(0, 1),
     offset=st.lists(st.floats(-0.03, 0.03), min_size=3, max_size=3),
 )
-def test_the_law_comes_to_the_goal_along_a_demonstration(index: int, demonstration: int, offset: list[float]) -> None:
+def test_the_expert_comes_to_the_goal_along_a_demonstration(
+    index: int, demonstration: int, offset: list[float]
+) -> None:
     task = LAW_TASK
     start = task.trajectories[demonstration][index].copy()
     start[:3] += offset
@@ -168,17 +170,17 @@ def test_the_law_comes_to_the_goal_along_a_demonstration(index: int, demonstrati
 LAW_TASK = three().task
 
 
-def pursuing(poses: Array, step: float, turn: float) -> Law:
-    """Return the law of pursuing the path along poses (N, 7)."""
-    return Pursuit(name="pursuit", look_ahead_m=AHEAD).law(ShownPath.along(poses), poses[-1], step, turn)
+def pursuing(poses: Array, step: float, turn: float) -> Expert:
+    """Return the expert of pursuing the path along poses (N, 7)."""
+    return Pursuit(name="pursuit", look_ahead_m=AHEAD).expert(ReferencePath.along(poses), poses[-1], step, turn)
 
 
-def test_the_law_ends_although_its_path_crosses_itself() -> None:
+def test_the_expert_ends_although_its_path_crosses_itself() -> None:
     angle = np.linspace(0.0, 1.75 * np.pi, 300)
     loop = np.stack([np.full(300, 0.45), 0.1 * np.sin(2 * angle), 0.35 + 0.1 * np.sin(angle)], axis=1)
     poses = pose.make(loop, HORIZONTAL)
-    law = pursuing(poses, 0.0021, 0.0)
-    path = law.roll_out(poses[0], 2000)
+    expert = pursuing(poses, 0.0021, 0.0)
+    path = expert.roll_out(poses[0], 2000)
     assert pose.position_distance(path[-1], poses[-1]) < 1e-6
 
 
@@ -188,8 +190,8 @@ def test_turning_in_place_is_followed() -> None:
     before = turned_by(still, 1.0)
     moved[:, 3:] = before[0, 3:]
     poses = np.concatenate([moved, before])[1::2]
-    law = pursuing(poses, 0.0063, 0.02)
-    path = law.roll_out(poses[0], 500)
+    expert = pursuing(poses, 0.0063, 0.02)
+    path = expert.roll_out(poses[0], 500)
     assert pose.rotation_distance(path[-1], poses[-1]) < 1e-6
     arrived = int((pose.position_distance(path, poses[-1]) < 0.01).argmax())
     assert pose.rotation_distance(path[arrived], poses[-1]) > 0.8

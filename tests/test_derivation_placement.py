@@ -19,8 +19,7 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.tasks.reachability import Reachability
-from koopdqn.tasks.workcell import build_scene
+from koopdqn.tasks.workcell import Reachability, build_scene
 
 PLACEMENTS = st.builds(
     lambda x, y, z, turn: Placement(np.array([x, y, z]), turn),
