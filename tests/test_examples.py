@@ -8,24 +8,26 @@ import pytest
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SHORT = ["demo.count=3", "train.max_steps=4000", "eval.episodes=3", "eval.dynamics=false", "eval.baselines=false"]
-CASES = {
-    "own_task.py": (SHORT, "of 3 starts"),
-    "own_oracle.py": (SHORT, "questions answered"),
-    "own_observables.py": (["demo.count=3"], "the default"),
-    "reward_in_another_loop.py": (["demo.count=3"], "actions right"),
-    "sweep.py": (["SWEEP", "seed=0", "agent.gamma=0", *SHORT], "0: seed 0, learned"),
-}
+CASES = [
+    ("own_task.py", SHORT, "of 3 starts"),
+    ("own_oracle.py", SHORT, "questions answered"),
+    ("own_observables.py", ["demo.count=3"], "the default"),
+    ("own_environment.py", ["2000", "demo.count=3"], "success_rate"),
+    ("reward_in_another_loop.py", ["demo.count=3"], "actions right"),
+    ("stable_baselines.py", ["DQN", "2000", "demo.count=3"], "DQN after 2048 steps"),
+    ("stable_baselines.py", ["PPO", "2000", "demo.count=3"], "PPO after 4096 steps"),
+    ("sweep.py", ["SWEEP", "seed=0", "agent.gamma=0", *SHORT], "0: seed 0, learned"),
+]
 
 
 def test_every_example_is_run_and_under_sixty_lines() -> None:
     found = {path.name: len(path.read_text(encoding="utf-8").splitlines()) for path in EXAMPLES.glob("*.py")}
-    assert found.keys() == CASES.keys()
+    assert found.keys() == {name for name, _, _ in CASES}
     assert max(found.values()) < 60, found
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_an_example_runs(name: str, tmp_path: Path) -> None:
-    arguments, words = CASES[name]
+@pytest.mark.parametrize(("name", "arguments", "words"), CASES)
+def test_an_example_runs(name: str, arguments: list[str], words: str, tmp_path: Path) -> None:
     given = [str(tmp_path / "sweep") if argument == "SWEEP" else argument for argument in arguments]
     command = [sys.executable, str(EXAMPLES / name), *given]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
