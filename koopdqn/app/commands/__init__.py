@@ -14,6 +14,7 @@ _COMMANDS: Final = {
     "fit": ("fit.run", ("run", "intent_file")),
     "train": ("train.run", ()),
     "eval": ("eval.run", ("demos", "intent_file")),
+    "view": ("view.run", ("intent_file",)),
     "report": ("report.run", ("run", "demos", "intent_file")),
     "import": ("demonstrations.import_", ("run", "intent_file")),
     "export": ("demonstrations.export", ("run", "intent_file")),
@@ -54,10 +55,11 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        if command in ("fit", "train", "eval"):
-            # The run that eval measures holds its demonstrations; the others keep them in their own folder.
-            holds = (settings.inputs.run or folder) if command == "eval" else folder
-            settings = with_task(settings, holds, keep=command != "eval")
+        if command in ("fit", "train", "eval") or (command == "view" and settings.inputs.run is not None):
+            # The run that eval or view is about holds its demonstrations; the others keep them in their own folder.
+            measures = command in ("eval", "view")
+            holds = (settings.inputs.run or folder) if measures else folder
+            settings = with_task(settings, holds, keep=not measures)
         module, _, function = place.partition(".")
         result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result

@@ -11,6 +11,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.train import POLICY, REPORT
 from koopdqn.app.result import CommandResult
+from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
@@ -18,10 +19,13 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.pose import POSITION
 from koopdqn.settings import shown
-from koopdqn.tasks.rollout import SUCCESS
+from koopdqn.tasks.rollout import SUCCESS, Episode
+from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from koopdqn.evaluation.evaluate import Evaluation
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -42,7 +46,12 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     for name, sha in made_from.items():
         if about["made_from"][name] != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
-    step_limit = _step_limit(source / REPORT)
+    step_limit = step_limit_of(source / REPORT)
+    film = folder / "eval.mp4"
+    if config.eval.video:
+        from koopdqn.view.film import check_film
+
+        check_film(film, "eval.video")
     workcell = pipeline.open_scene(config)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
@@ -69,13 +78,33 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         f"report          {console.shown_path(folder / 'eval.json')}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
+    if config.eval.video:
+        _film(film, workcell, demonstrations, drawn, evaluation)
+        lines.append(f"film            {console.shown_path(film)}")
     for name, file in (("training curve", "train.png"), ("fit errors", "fit.png")):
         if (source / file).exists():
             lines.append(f"{name:<14}  {console.shown_path(source / file)}")
     return CommandResult(report, lines, objective=report["success_rate"])
 
 
-def _step_limit(path: Path) -> int:
+def _film(
+    path: Path, workcell: Workcell, demonstrations: Demonstrations, drawn: Episode, evaluation: "Evaluation"
+) -> None:
+    """Write a film of an episode beside the demonstration that begins nearest to it."""
+    from koopdqn.view.motions import demonstrated_motions, learned_motion
+
+    references = dict(zip(map(id, evaluation.compared), evaluation.references, strict=True))
+    learned = learned_motion("a held-out start", drawn, workcell.task, references.get(id(drawn)))
+    shown = demonstrated_motions(demonstrations.items, workcell.reachability, workcell.task, len(demonstrations))
+    pipeline.film(path, workcell.scene, learned, shown)
+
+
+def step_limit_of(path: Path) -> int:
+    """Return the steps after which an episode of the run with this ``train.json`` fails.
+
+    Raises:
+        BadInputError: the file cannot be read, or does not say.
+    """
     report = read_json(path, "the training report")
     limit = report.get("step_limit") if isinstance(report, dict) else None
     if not isinstance(limit, int) or limit < 1:

@@ -19,6 +19,7 @@ PATH_KEYS: Final = (
     "oracle.questions",
     "oracle.answers",
     "report.sweep",
+    "view.video",
 )
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
@@ -32,6 +33,8 @@ _SHORT_NAMES: Final = {
     "demos.place": "task.place",
     "sweep": "report.sweep",
 }
+_FILMED: Final = ("eval", "view")
+"""Commands whose own key ``video`` needs no prefix."""
 _RECORD: Final = Path(".hydra") / "overrides.yaml"
 _OWN_KEYS: Final = ("command", "out", "run")
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
@@ -60,6 +63,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=`` and ``sweep=DIR`` becomes ``report.sweep=DIR``.
+    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
@@ -68,9 +72,11 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
       robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
+    - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
+      alone.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``import`` and ``export`` work on demonstrations of any kind: without ``task=`` theirs is the one that
-      demonstrations define.
+    - ``import``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=`` theirs is the
+      one that demonstrations define.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -82,15 +88,17 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
             that can be continued.
     """
-    prepared = [_prepare_one(override) for override in overrides]
+    prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
-    if command == "eval":
-        named = bool(folders) and folders[-1] != "null"
-        return _prepare_evaluation(prepared, folders[-1] if named else str(newest_trained_run()))
-    if command in ("import", "export") and "task" not in keys:
+    named = bool(folders) and folders[-1] != "null"
+    if command == "view" and named and "demos" in keys:
+        raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
+    if command == "eval" or (command == "view" and "demos" not in keys):
+        return _prepare_of_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
+    if command in ("import", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
     if command not in _CONTINUED or not folders or folders[-1] == "null":
         return Prepared([*prepared, f"command={command}"])
@@ -129,22 +137,22 @@ def newest_trained_run(below: Path = Path("runs")) -> Path:
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 
-def _prepare_evaluation(prepared: list[str], folder: str) -> Prepared:
+def _prepare_of_run(command: str, prepared: list[str], folder: str) -> Prepared:
     recorded = _recorded(folder, "train")
     given = {_name(override) for override in prepared}
     # A run's own inputs lie in its folder, and its outcome does not depend on how many are evaluated.
     own = [item for item in recorded if _name(item) not in given and _key(item) not in ("demos", "intent_file")]
     rest = [item for item in prepared if _key(item) != "run"]
-    return Prepared([*own, *rest, f"run={_quoted(folder)}", "command=eval"])
+    return Prepared([*own, *rest, f"run={_quoted(folder)}", f"command={command}"])
 
 
-def _prepare_one(override: str) -> str:
+def _prepare_one(command: str, override: str) -> str:
     name, equals, value = override.partition("=")
     if not _is_override(override):
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
-    name = _SHORT_NAMES.get(name, name)
+    name = f"{command}.video" if name == "video" and command in _FILMED else _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
