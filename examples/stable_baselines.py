@@ -4,6 +4,7 @@ Run it with ``python examples/stable_baselines.py PPO 300000``: learner, steps, 
 """
 
 import sys
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -27,9 +28,10 @@ def episodes(count: int, seed: int, overrides: list[str]) -> VecNormalize:
 
 def success_rate(learned: DQN | PPO, env: VecNormalize, steps: int) -> float:
     """Return the share of first episodes that the best actions bring to the goal; a wrong one repeats for ever."""
-    observations, won, ended = env.reset(), np.zeros(env.num_envs, dtype=bool), np.zeros(env.num_envs, dtype=bool)
+    seen: Any = env.reset()
+    won, ended = np.zeros(env.num_envs, dtype=bool), np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):
-        observations, _, now, infos = env.step(learned.predict(np.asarray(observations), deterministic=True)[0])
+        seen, _, now, infos = env.step(learned.predict(np.asarray(seen), deterministic=True)[0])
         won |= ~ended & np.array([info.get("is_success", False) for info in infos])
         ended |= now
     return float(won.mean())

@@ -22,7 +22,14 @@ from koopdqn.settings import validate
 from koopdqn.tasks.rollout import SUCCESS, Controller
 
 SETTINGS = EvaluationSettings(
-    episodes=5, seed=2000, start_scale=1.0, dynamics=True, dynamics_episodes=2, time_scale=2.0, baselines=True
+    episodes=5,
+    seed=2000,
+    start_scale=1.0,
+    dynamics=True,
+    dynamics_episodes=2,
+    time_scale=2.0,
+    baselines=True,
+    video=False,
 )
 SHORT = SETTINGS.model_copy(update={"dynamics": False, "baselines": False})
 

@@ -14,7 +14,14 @@ from koopdqn.settings import validate
 from koopdqn.tasks.task import Task
 
 SETTINGS = EvaluationSettings(
-    episodes=12, seed=2000, start_scale=1.0, dynamics=False, dynamics_episodes=1, time_scale=1.0, baselines=False
+    episodes=12,
+    seed=2000,
+    start_scale=1.0,
+    dynamics=False,
+    dynamics_episodes=1,
+    time_scale=1.0,
+    baselines=False,
+    video=False,
 )
 
 

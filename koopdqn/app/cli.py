@@ -41,6 +41,15 @@ _COMMANDS = {
         "Measure a trained run on held-out starts.",
         ("koopdqn eval", "koopdqn eval run=DIR --json"),
     ),
+    "view": (
+        "Look at a trained run, or at demonstrations, as a page that opens in any browser.",
+        (
+            "koopdqn view",
+            "koopdqn view run=DIR",
+            "koopdqn view demos=demos.hdf5",
+            "koopdqn view run=DIR video=film.mp4",
+        ),
+    ),
     "report": (
         "Draw the paper's figures and tables beside ours, from finished runs; or gather a sweep.",
         (

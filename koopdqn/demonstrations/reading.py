@@ -54,7 +54,7 @@ def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: b
     items: list[Demonstration] = []
     placements: dict[str, Placement | None] = {}
     for path in files_of(sources):
-        if path.suffix.lower() in _CSV:
+        if is_csv(path):
             items += read_csv(path)
             placements["none"] = None
             continue
@@ -67,6 +67,11 @@ def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: b
     if len(placements) > 1:
         raise BadInputError(f"demos: all files must have been moved alike, found {' and '.join(sorted(placements))}")
     return Demonstrations(task, arm, items, placement=next(iter(placements.values())))
+
+
+def is_csv(path: Path) -> bool:
+    """Return whether a file of demonstrations is read as CSV, by its ending."""
+    return path.suffix.lower() in _CSV
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -65,7 +65,8 @@ class StableBaselinesVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return a picture of each episode."""
-        return self._env.render() or [None] * self.num_envs
+        pictures: Any = self._env.render()
+        return pictures or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the environment, once an episode."""

@@ -39,6 +39,7 @@ class EvaluationSettings(Settings):
         ge=1, le=1000, description="how many times robot.step_seconds one step takes in that execution"
     )
     baselines: bool = Field(description="also measure methods that learn nothing, from the same starts")
+    video: bool = Field(description="also write a film of a learned path beside a demonstration, eval.mp4")
 
 
 @dataclass(frozen=True)

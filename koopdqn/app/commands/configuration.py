@@ -23,6 +23,7 @@ from koopdqn.robot.arm import Arm
 from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
+from koopdqn.view.settings import ViewSettings
 
 # Groups whose options name the class of their settings; the other sections have one class each.
 _GROUPS = ("intent", "trust", "oracle", "agent", "robot")
@@ -64,6 +65,7 @@ class Configuration:
     feedback: FeedbackSettings
     train: TrainSettings
     eval: EvaluationSettings
+    view: ViewSettings
     report: ReportSettings
     export: ExportSettings
     program: ProgramSettings

@@ -12,6 +12,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.train import POLICY, REPORT
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
+from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
@@ -19,10 +20,13 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.pose import POSITION
 from koopdqn.settings import shown
-from koopdqn.tasks.rollout import SUCCESS
+from koopdqn.tasks.rollout import SUCCESS, Episode
+from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from koopdqn.evaluation.evaluate import Evaluation
 
 _LONGEST = 1_000_000
 """The most steps that an episode may be given."""
@@ -50,6 +54,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         if made_with != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     step_limit = step_limit_of(source / REPORT)
+    film = folder / "eval.mp4"
+    if config.eval.video:
+        from koopdqn.view.film import check_film
+
+        check_film(film, "eval.video")
     workcell = pipeline.open_scene(config)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
@@ -76,10 +85,25 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         f"report          {console.shown_path(folder / 'eval.json')}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
+    if config.eval.video:
+        _film(film, workcell, demonstrations, drawn, evaluation)
+        lines.append(f"film            {console.shown_path(film)}")
     for name, file in (("training curve", "train.png"), ("fit errors", "fit.png")):
         if (source / file).exists():
             lines.append(f"{name:<14}  {console.shown_path(source / file)}")
     return CommandResult(report, lines, objective=report["success_rate"])
+
+
+def _film(
+    path: Path, workcell: Workcell, demonstrations: Demonstrations, drawn: Episode, evaluation: "Evaluation"
+) -> None:
+    """Write a film of an episode beside the demonstration that begins nearest to it."""
+    from koopdqn.view.motions import demonstrated_motions, learned_motion
+
+    references = dict(zip(map(id, evaluation.compared), evaluation.references, strict=True))
+    learned = learned_motion("a held-out start", drawn, workcell.task, references.get(id(drawn)))
+    shown = demonstrated_motions(demonstrations.items, workcell.reachability, workcell.task, len(demonstrations))
+    pipeline.film(path, workcell.scene, learned, shown)
 
 
 def step_limit_of(path: Path) -> int:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from koopdqn.settings import load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell
+
+if TYPE_CHECKING:
+    from koopdqn.view.motions import Motion
 
 DEMONSTRATIONS = "demos.hdf5"
 
@@ -287,3 +290,18 @@ def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: lis
     except WorkFailedError as error:
         console.warn(f"no picture of the arm: {error}")
         return None
+
+
+def film(path: Path, scene: Scene, learned: "Motion", demonstrated: Sequence["Motion"]) -> None:
+    """Write a film of a learned motion beside the demonstration that begins nearest; a bar shows how far it is.
+
+    Raises:
+        BadInputError: the file cannot be written.
+        WorkFailedError: OpenGL does not work here, the arm can follow no demonstration, or there is no encoder.
+    """
+    from koopdqn.view.film import FRAMES_PER_SECOND, SECONDS, write_film
+    from koopdqn.view.motions import nearest_motion
+
+    beside = nearest_motion(demonstrated, learned.poses[0])
+    with console.stage("Filming", SECONDS * FRAMES_PER_SECOND[path.suffix]) as stage:
+        write_film(path, scene, learned, beside, stage.advance)

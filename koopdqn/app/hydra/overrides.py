@@ -20,6 +20,7 @@ PATH_KEYS: Final = (
     "oracle.questions",
     "oracle.answers",
     "report.sweep",
+    "view.video",
 )
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
@@ -34,6 +35,8 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
 }
+_FILMED: Final = ("eval", "view")
+"""Commands whose own key ``video`` needs no prefix."""
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
@@ -63,6 +66,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
       ``program.start=``.
+    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
@@ -73,9 +77,11 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
       robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken. ``export run=DIR``
       does the same, where ``run=`` must be given.
+    - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
+      alone.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``import`` and ``export`` work on demonstrations of any kind: without ``task=`` theirs is the one that
-      demonstrations define.
+    - ``import``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=`` theirs is the
+      one that demonstrations define.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -87,15 +93,17 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
             that can be continued.
     """
-    prepared = [_prepare_one(override) for override in overrides]
+    prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
     named = bool(folders) and folders[-1] != "null"
-    if command == "eval" or (command == "export" and named):
+    if command == "view" and named and "demos" in keys:
+        raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
+    if command == "eval" or (command == "export" and named) or (command == "view" and "demos" not in keys):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
-    if command in ("import", "export") and "task" not in keys:
+    if command in ("import", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
     if command not in _CONTINUED or not named:
         return Prepared([*prepared, f"command={command}"])
@@ -167,13 +175,13 @@ def _trusted(prepared: Iterable[str]) -> list[str]:
     return found
 
 
-def _prepare_one(override: str) -> str:
+def _prepare_one(command: str, override: str) -> str:
     name, equals, value = override.partition("=")
     if not _is_override(override):
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
-    name = _SHORT_NAMES.get(name, name)
+    name = f"{command}.video" if name == "video" and command in _FILMED else _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"

@@ -1,0 +1,136 @@
+"""``koopdqn view``: a trained run, or recordings before anything is trained, as a page to look at."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from koopdqn import console
+from koopdqn.app.commands import pipeline
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.train import POLICY, REPORT
+from koopdqn.app.hydra.compose import composed
+from koopdqn.app.result import CommandResult
+from koopdqn.artifact import read_artifact
+from koopdqn.demonstrations.derivation import Derivation
+from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.demonstrations.reading import files_of, is_csv, read_demonstrations
+from koopdqn.errors import BadInputError
+from koopdqn.intent.reward import IntentReward
+from koopdqn.intent.storage import read_intent
+from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.pose import POSITION
+from koopdqn.resources import conf_dir
+from koopdqn.rl import checkpoint
+from koopdqn.rl.human_reward import Feedback
+from koopdqn.rl.policy import read_policy
+from koopdqn.robot.scene import SceneBuilder
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Reachability, build_scene
+from koopdqn.view.film import check_film
+from koopdqn.view.motions import demonstrated_motions, learned_motions
+from koopdqn.view.page import Shown, write_page
+
+_FOLLOWED: Final = 12
+"""Demonstrations that the arm follows; further ones are drawn as lines."""
+_FEEDBACK: Final = "feedback/"
+
+
+def run(config: Configuration, folder: Path) -> CommandResult:
+    """Write ``view.html`` of the run of ``run=``, or of the demonstrations of ``demos=``, and a film if asked for."""
+    source, video = config.inputs.run, config.view.video
+    if video is not None:
+        if source is None:
+            raise BadInputError(f"video: needs a trained run to show, found demos= alone and {str(video)!r}")
+        check_film(video, "video")
+    shown = _of_demonstrations(config, folder) if source is None else _of_run(config, source)
+    page = write_page(folder, shown.content())
+    motions = [{"name": motion.name, "kind": motion.kind, "remark": motion.remark} for motion in shown.motions]
+    lines = [*shown.lines, f"page  {console.shown_path(page)}"]
+    if video is not None:
+        learned = shown.motions[0]
+        demonstrated = [motion for motion in shown.motions if motion.kind == "demonstration"]
+        pipeline.film(video, shown.scene, learned, demonstrated)
+        lines.append(f"film  {console.shown_path(video)}")
+    result: dict[str, Any] = {
+        "page": str(page),
+        "video": None if video is None else str(video),
+        "run": None if source is None else str(source),
+        "motions": motions,
+    }
+    return CommandResult(result, lines)
+
+
+def _of_run(config: Configuration, source: Path) -> Shown:
+    policy, _ = read_policy(source / POLICY, config.task)
+    demonstrations = pipeline.demonstrations_of(config, source)
+    intent = read_intent(source / pipeline.INTENT, config.task)
+    workcell = pipeline.open_scene(config)
+    feedback = Feedback(
+        IntentReward(config.task, intent.model, intent.trust, config.reward),
+        ScriptedOracle(config.task),
+        config.feedback,
+    )
+    path = checkpoint.checkpoint_path(source)
+    if path.is_file():
+        arrays = read_artifact(path, checkpoint.KIND).arrays
+        feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
+    starts, limit = min(config.view.starts, config.eval.episodes), step_limit_of(source / REPORT)
+    referred = pipeline.held_out_of(config) is None
+    with console.stage("Moving the arm"):
+        learned = learned_motions(workcell, policy, feedback, config.eval, starts, limit, referred=referred)
+        shown = demonstrated_motions(demonstrations.items, workcell.reachability, config.task, _FOLLOWED)
+    return Shown(
+        f"koopdqn: task {config.task.name}",
+        (
+            f"run {console.shown_path(source)}",
+            f"{len(demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
+            f"rule: {config.task.rule}",
+        ),
+        workcell.scene,
+        [*learned, *shown],
+        [item.poses[:, POSITION] for item in demonstrations.items],
+        feedback.reward.trust,
+        config.task.goal,
+    )
+
+
+def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
+    sources = config.inputs.demos
+    if sources is None:
+        raise BadInputError("demos: must name the files to show where run= names no run, found none")
+    demonstrations = read_demonstrations(sources, config.chosen.name, config.robot.name, any_task=True)
+    task = _task_of(config, sources)
+    if isinstance(config.chosen, Derivation) and config.chosen.place == "auto":
+        moved = pipeline.with_task(config, folder, keep=False)
+        demonstrations, task = pipeline.demonstrations_of(moved, folder), moved.task
+    scene = SceneBuilder(config.robot).build() if task is None else build_scene(task, config.robot)
+    posture = None
+    if task is not None:
+        posture = Reachability(config.robot, scene, config.robot.step_seconds).enter(task.nominal_start).joints
+    reachability = Reachability(config.robot, scene, config.robot.step_seconds, posture)
+    with console.stage("Moving the arm"):
+        shown = demonstrated_motions(demonstrations.items, reachability, task, _FOLLOWED)
+    count = f"{len(demonstrations)} demonstration{'s' if len(demonstrations) > 1 else ''}"
+    samples = sum(len(item) for item in demonstrations.items)
+    stopped = [f"{motion.name}: {motion.remark}" for motion in shown if len(motion.joints) < len(motion.poses)]
+    return Shown(
+        f"koopdqn: {count}" + ("" if task is None else f" of task {task.name}"),
+        (", ".join(sources), f"{samples} samples", *stopped),
+        scene,
+        shown,
+        [item.poses[:, POSITION] for item in demonstrations.items],
+        None,
+        None if task is None else task.goal,
+    )
+
+
+def _task_of(config: Configuration, sources: Sequence[str]) -> Task | None:
+    """Return the task that was given, or that the first file says it is of; None where koopdqn does not know it."""
+    if isinstance(config.chosen, Task):
+        return config.chosen
+    first = files_of(sources)[0]
+    name = "" if is_csv(first) else read_hdf5(first).task
+    if name == config.chosen.name or not (conf_dir() / "task" / f"{name}.yaml").is_file():
+        return None
+    return Configuration.load(composed([f"task={name}", "out=unused"])).task

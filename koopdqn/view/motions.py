@@ -1,0 +1,231 @@
+"""The motions that a view shows: learned paths, what the intent alone would do, and demonstrations."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.errors import WorkFailedError
+from koopdqn.evaluation.evaluate import EvaluationSettings, drawn_starts
+from koopdqn.evaluation.metrics import reference_paths
+from koopdqn.intent.model import IntentModel
+from koopdqn.pose import Array
+from koopdqn.rl.human_reward import Feedback
+from koopdqn.tasks.knife import KnifeTask
+from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import Reachability, Workcell
+from koopdqn.view.bake import frames_of, link_poses, rounded
+
+Kind = Literal["learned", "intent", "demonstration"]
+"""What made a motion."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A distance along a motion.
+
+    Attributes:
+        name: for people.
+        unit: of its values.
+        limit: a value that matters, or None.
+        values: (T,) at every pose.
+    """
+
+    name: str
+    unit: str
+    limit: float | None
+    values: Array
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion to show.
+
+    Attributes:
+        name: for people.
+        kind: what made it.
+        poses: (T, 7) of the flange.
+        joints: (J, 6) [rad] at the first J poses, as far as the arm can follow.
+        remark: what became of it.
+        strips: distances along it.
+        sources: (T,) where the reward of the step to each pose came from, as :mod:`koopdqn.intent.reward` numbers it,
+            the first repeated; None where nothing was rewarded.
+        edge: (T, 6) middle of a knife's edge [m] and its direction, or None.
+    """
+
+    name: str
+    kind: Kind
+    poses: Array
+    joints: Array
+    remark: str
+    strips: Sequence[Strip]
+    sources: np.ndarray | None = None
+    edge: Array | None = None
+
+    def baked(self, workcell_scene: Any) -> dict[str, Any]:
+        """Return it as JSON values: frames are the poses shown, ``links`` the arm's in those that it reaches."""
+        frames = frames_of(len(self.poses))
+        followed = frames[frames < len(self.joints)]
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "remark": self.remark,
+            "frames": frames.tolist(),
+            "path": rounded(self.poses[frames, pose.POSITION]),
+            "links": rounded(link_poses(workcell_scene, self.joints[followed]).reshape(len(followed), -1)),
+            "sources": None if self.sources is None else self.sources[frames].tolist(),
+            "edge": None if self.edge is None else rounded(self.edge[frames]),
+            "strips": [
+                {"name": s.name, "unit": s.unit, "limit": s.limit, "values": np.round(s.values[frames], 2).tolist()}
+                for s in self.strips
+            ],
+        }
+
+
+def learned_motions(
+    workcell: Workcell,
+    policy: Controller,
+    feedback: Feedback,
+    settings: EvaluationSettings,
+    count: int,
+    step_limit: int,
+    *,
+    referred: bool,
+) -> list[Motion]:
+    """Return the policy's motions from the first held-out starts, each followed by what the intent alone would do.
+
+    Args:
+        workcell: task, arm and scene.
+        policy: what was learned.
+        feedback: the reward function with what answers taught; says where rewards come from.
+        settings: which starts evaluation draws.
+        count: how many of them.
+        step_limit: steps after which a motion ends.
+        referred: whether the demonstrator's own paths are what learned ones are compared with.
+
+    Raises:
+        BadInputError: hardly any start of the region can be taken.
+    """
+    task = workcell.task
+    starts, joints, _ = drawn_starts(workcell, settings)
+    starts, joints = starts[:count], joints[:count]
+    references = reference_paths(task, starts, step_limit) if referred else [None] * len(starts)
+    found = []
+    for index, episode in enumerate(roll_out(policy, task, workcell.reachability, starts, joints, step_limit)):
+        begun = np.tile(starts[index], (len(episode.poses), 1))
+        evaluation = feedback.evaluate_actions(episode.poses, np.arange(len(begun)), begun)
+        taken = evaluation.source[np.arange(len(begun)), policy(episode.poses, begun)]
+        motion = learned_motion(f"start {index}", episode, task, references[index])
+        found.append(replace(motion, sources=np.append(taken[:1], taken[:-1])))
+        wished = intended_path(feedback.reward.model, task, starts[index], step_limit)
+        found.append(
+            followed(f"intent from start {index}", "intent", wished, workcell.reachability, task, joints[index])
+        )
+    return found
+
+
+def learned_motion(name: str, episode: Episode, task: Task, reference: Array | None) -> Motion:
+    """Return an episode of a policy as a motion; a reference (R, 7) is the demonstrator's path from its start."""
+    remark = "reaches the goal" if episode.outcome == SUCCESS else f"fails: {episode.outcome.replace('_', ' ')}"
+    if episode.detail:
+        remark += f" ({episode.detail})"
+    remark += f" after {episode.steps} steps"
+    strips = strips_of(episode.poses, task.goal, task, None if reference is None else reference[:, pose.POSITION])
+    return Motion(name, "learned", episode.poses, episode.joints, remark, strips, None, edge_of(episode.poses, task))
+
+
+def nearest_motion(motions: Sequence[Motion], start: Array) -> Motion:
+    """Return the motion, of those that the arm can begin, that begins nearest to a start (7,).
+
+    Raises:
+        WorkFailedError: the arm can begin none.
+    """
+    begun = [motion for motion in motions if len(motion.joints)]
+    if not begun:
+        raise WorkFailedError("a film needs a demonstration that the arm can follow, found none")
+    return min(begun, key=lambda motion: float(pose.position_distance(motion.poses[0], start)))
+
+
+def intended_path(model: IntentModel, task: Task, start: Array, step_limit: int) -> Array:
+    """Return the poses (T, 7) of following the intent's predictions from a start (7,), a step of the agent each.
+
+    It ends at the goal, where the prediction rests, or at the limit.
+    """
+    poses = [start[None]]
+    for _ in range(step_limit):
+        here = poses[-1]
+        there = model.to_step(here, model.intended(here, start[None]), task.step_m)
+        if np.abs(there - here).max() < 1e-9:
+            break
+        poses.append(there)
+        if task.reached(there)[0]:
+            break
+    return np.concatenate(poses)
+
+
+def demonstrated_motions(
+    items: Sequence[Demonstration], reachability: Reachability, task: Task | None, most: int
+) -> list[Motion]:
+    """Return demonstrations as motions, the first ``most`` of them; of no task each has its own end as its goal."""
+    return [
+        followed(f"demonstration {index}", "demonstration", item.poses, reachability, task, known=item.joints)
+        for index, item in enumerate(items[:most])
+    ]
+
+
+def followed(
+    name: str,
+    kind: Kind,
+    poses: Array,
+    reachability: Reachability,
+    task: Task | None,
+    begin: Array | None = None,
+    known: Array | None = None,
+) -> Motion:
+    """Return the motion along given poses (T, 7), the arm as far as it can follow.
+
+    Args:
+        name: for people.
+        kind: what made it.
+        poses: of the flange.
+        reachability: the arm in its scene.
+        task: gives goal and rule; None where there is none.
+        begin: joints (6,) [rad] at the first pose; None enters it.
+        known: joints (T, 6) [rad] that were recorded; None finds them.
+    """
+    remark, goal = "the arm follows to its end", poses[-1] if task is None else task.goal
+    if known is None:
+        path, last = reachability.follow_as_far(poses, begin)
+        known = np.array(path).reshape(-1, 6)
+        if last.joints is None:
+            why = f"{last.reason.replace('_', ' ')} {last.detail}".strip()
+            remark = f"the arm follows {len(path)} of {len(poses)} poses: {why}"
+    return Motion(name, kind, poses, known, remark, strips_of(poses, goal, task), None, edge_of(poses, task))
+
+
+def strips_of(poses: Array, goal: Array, task: Task | None, reference: Array | None = None) -> list[Strip]:
+    """Return the distances along poses (T, 7): to the goal, to a reference path (R, 3), and those of a knife."""
+    strips = [Strip("to the goal", "mm", None, 1e3 * pose.position_distance(poses, goal))]
+    if reference is not None:
+        gaps = [np.linalg.norm(reference - row, axis=1).min() for row in poses[:, pose.POSITION]]
+        strips.append(Strip("from the demonstrator's own path", "mm", None, 1e3 * np.array(gaps)))
+    strips.append(Strip("turn left to the goal", "°", None, np.degrees(pose.rotation_distance(poses, goal))))
+    if isinstance(task, KnifeTask):
+        safe, near = float(np.degrees(task.safe_angle_rad)), 1e3 * task.rule_distance_m
+        strips.append(Strip("edge from straight down", "°", safe, np.degrees(task.blade_angle(poses))))
+        strips.append(Strip("blade to the receiver", "mm", near, 1e3 * task.blade_distance(poses)))
+    return strips
+
+
+def edge_of(poses: Array, task: Task | None) -> Array | None:
+    """Return the middle (T, 3) [m] of a knife's edge and its direction (T, 3) at poses (T, 7); None without a knife."""
+    if not isinstance(task, KnifeTask):
+        return None
+    direction = pose.rotate(poses[:, pose.QUATERNION], np.array(task.edge))
+    middle = np.array([0.0, 0.0, task.blade_start_m + 0.5 * task.blade_length_m])
+    point = poses[:, pose.POSITION] + pose.rotate(poses[:, pose.QUATERNION], middle)
+    return np.concatenate([point + 0.5 * task.blade_height_m * direction, direction], axis=1)

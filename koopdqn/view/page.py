@@ -1,0 +1,124 @@
+"""The page: one HTML file that holds everything it shows and opens from disk, with or without a network."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from koopdqn import pose
+from koopdqn.files import write_text
+from koopdqn.intent.reward import SOURCES
+from koopdqn.intent.trust import TrustDomain
+from koopdqn.plots import style
+from koopdqn.pose import Array
+from koopdqn.robot.scene import Scene
+from koopdqn.robot.view import View, choose_view, fitted_view
+from koopdqn.view.bake import baked_scene, baked_trust, frames_of, rounded
+from koopdqn.view.motions import Motion
+
+PAGE: Final = "view.html"
+_HERE: Final = Path(__file__).resolve().parent
+MOST_TRACKS: Final = 200
+"""Demonstrations that are drawn as lines; those that the arm follows are fewer."""
+_SIZE: Final = (1280, 720)
+_AROUND: Final = 0.2
+"""How far around the motions a preset looks [m]: about the length of the tool and of a link beside it."""
+_SOURCE_COLOURS: Final = (style.INK, style.GREEN, style.RED, style.PINK, style.SKY)
+COLOURS: Final = {
+    "demonstration": style.ORANGE,
+    "learned": style.BLUE,
+    "intent": style.GREY,
+    "trust": style.BLUE,
+    "safe": style.GREEN,
+    "unsafe": style.RED,
+}
+"""Of what the page draws, as hexadecimal codes."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page shows.
+
+    Attributes:
+        title: of the page.
+        lines: what is told beside it.
+        scene: the arm and what stands around it.
+        motions: at least one; the first is shown first, and an ``intent`` follows the ``learned`` it belongs to.
+        tracks: demonstrated positions (T, 3) [m], drawn as lines.
+        trust: the trust domain, or None.
+        goal: pose (7,) of the goal, or None.
+    """
+
+    title: str
+    lines: Sequence[str]
+    scene: Scene
+    motions: Sequence[Motion]
+    tracks: Sequence[Array]
+    trust: TrustDomain | None = None
+    goal: Array | None = None
+
+    def content(self) -> dict[str, Any]:
+        """Return it as JSON values, as the page's script reads them."""
+        return {
+            "title": self.title,
+            "lines": list(self.lines),
+            "scene": baked_scene(self.scene),
+            "motions": [motion.baked(self.scene) for motion in self.motions],
+            "tracks": [rounded(track[frames_of(len(track))]) for track in self.tracks[:MOST_TRACKS]],
+            "trust": None if self.trust is None else baked_trust(self.trust),
+            "goal": None if self.goal is None else rounded(self.goal[pose.POSITION]),
+            "cameras": cameras(self.scene, self.motions),
+            "field_of_view": float(self.scene.model.vis.global_.fovy),
+            "sources": [{"name": n, "colour": c} for n, c in zip(SOURCES, _SOURCE_COLOURS, strict=True)],
+            "colours": COLOURS,
+        }
+
+
+def cameras(scene: Scene, motions: Sequence[Motion]) -> list[dict[str, Any]]:
+    """Return the camera presets: name, eye (3,) and target (3,) [m]; the first shows the first motion best."""
+    points = np.concatenate([motion.poses[:, pose.POSITION] for motion in motions])
+    low, high = points.min(axis=0) - _AROUND, points.max(axis=0) + _AROUND
+    points = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    views: dict[str, View] = {}
+    first = next((motion for motion in motions if len(motion.joints)), None)
+    if first is not None:
+        views["best"] = choose_view(scene, first.joints, _SIZE)
+    # Straight down is where an orbiting camera has no upright.
+    directions = {"above": (90.0, -89.0), "front": (180.0, -8.0), "left": (-90.0, -8.0), "right": (90.0, -8.0)}
+    for name, (azimuth, elevation) in directions.items():
+        views[name] = fitted_view(points, azimuth, elevation, _SIZE, scene.model.vis.global_.fovy)
+    return [
+        {"name": name, "eye": rounded(view.eye), "target": rounded(np.array(view.lookat))}
+        for name, view in views.items()
+    ]
+
+
+def render(content: Mapping[str, Any]) -> str:
+    """Return the page as HTML text."""
+    environment = Environment(
+        autoescape=True, loader=PackageLoader("koopdqn", "view"), undefined=StrictUndefined, trim_blocks=True
+    )
+    # Within a script element no text may end it.
+    baked = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    return environment.get_template("page.html.j2").render(
+        title=content["title"],
+        lines=content["lines"],
+        library=Markup((_HERE / "three.min.js").read_text(encoding="utf-8")),
+        licence=Markup((_HERE / "three.LICENSE").read_text(encoding="utf-8").replace("--", "- ")),
+        baked=Markup(baked),
+    )
+
+
+def write_page(folder: Path, content: Mapping[str, Any]) -> Path:
+    """Write ``view.html`` into a folder and return its path.
+
+    Raises:
+        BadInputError: the file cannot be written.
+    """
+    write_text(folder / PAGE, render(content))
+    return folder / PAGE

@@ -1,0 +1,103 @@
+"""``koopdqn view`` on the command line: of a run, of demonstrations before any training, and what it refuses."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_run import SMALL
+
+from koopdqn.app import cli
+from koopdqn.app.hydra.overrides import prepare
+from koopdqn.errors import BadInputError
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was stopped long before it could learn."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    assert cli.main(["train", *SMALL, "train.max_steps=2000", f"out={folder}"]) == 1
+    return folder
+
+
+def baked(page: Path) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="baked">(.*?)</script>', page.read_text(encoding="utf-8"))
+    assert found
+    content: dict[str, Any] = json.loads(found[1])
+    return content
+
+
+def test_a_run_is_shown_with_its_starts_and_demonstrations(run: Path, tmp_path: Path) -> None:
+    assert cli.main(["view", f"run={run}", "view.starts=2", f"out={tmp_path}/page"]) == 0
+    content = baked(tmp_path / "page" / "view.html")
+    kinds = [motion["kind"] for motion in content["motions"]]
+    assert kinds == ["learned", "intent"] * 2 + ["demonstration"] * 3
+    assert len(content["tracks"]) == 3
+    assert content["trust"]["faces"]
+    assert {geom["name"] for geom in content["scene"]["geoms"]} >= {"bottle_body", "floor"}
+
+
+def test_demonstrations_are_shown_in_the_scene_of_their_own_task(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["view", f"demos={run}/demos.hdf5", f"out={tmp_path}/page", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == {
+        "page": str(tmp_path / "page" / "view.html"),
+        "video": None,
+        "run": None,
+        "motions": [
+            {"name": f"demonstration {index}", "kind": "demonstration", "remark": "the arm follows to its end"}
+            for index in range(3)
+        ],
+    }
+    content = baked(tmp_path / "page" / "view.html")
+    assert content["trust"] is None
+    assert "bottle_body" in {geom["name"] for geom in content["scene"]["geoms"]}
+
+
+def test_recordings_of_no_known_task_are_shown_with_the_arm_alone(run: Path, tmp_path: Path) -> None:
+    assert cli.main(["export", f"demos={run}/demos.hdf5", f"out={tmp_path}/csv"]) == 0
+    assert cli.main(["view", f"demos={tmp_path}/csv/demos.csv", f"out={tmp_path}/page"]) == 0
+    content = baked(tmp_path / "page" / "view.html")
+    assert {geom["name"] for geom in content["scene"]["geoms"] if geom["link"] < 0} >= {"floor", "pedestal"}
+    assert "bottle_body" not in {geom["name"] for geom in content["scene"]["geoms"]}
+    assert all(len(motion["links"]) == len(motion["frames"]) for motion in content["motions"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("run={run}", "demos={run}/demos.hdf5"), "demos: koopdqn view shows either run= or demos=, found both"),
+        (("demos={run}/demos.hdf5", "video=film.gif"), "video: needs a trained run to show, found demos= alone"),
+        (("run={run}", "video=film.avi"), "video: must end in .mp4 or .gif, found 'film.avi'"),
+        (("run={run}", "video={run}/demos.png.gif"), "video: must name a new file"),
+        (("run={run}", "view.starts=13"), "view.starts: must be less than or equal to 12, found 13"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_one_line(
+    run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    expected: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (run / "demos.png.gif").touch()
+    assert cli.main(["view", *(argument.format(run=run) for argument in arguments)]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert expected in error
+    assert not list(tmp_path.rglob("view.html"))
+
+
+def test_video_is_short_for_the_commands_own_key(run: Path) -> None:
+    assert "view.video=film.gif" in prepare("view", [f"run={run}", "video=film.gif"]).overrides
+    assert "eval.video=true" in prepare("eval", [f"run={run}", "video=true"]).overrides
+
+
+def test_without_a_run_the_newest_one_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInputError, match="must name a trained run, found none given"):
+        prepare("view", [])

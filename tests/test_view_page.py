@@ -1,0 +1,116 @@
+"""The page opens from disk with the network off, animates a motion, and its slider moves the arm."""
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from browser import CHROMIUM, Browser
+from helpers_view import motions, shown
+
+from koopdqn.view.page import render, write_page
+
+NODE = shutil.which("node")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_page(tmp_path_factory.mktemp("page"), shown().content())
+
+
+@pytest.fixture(scope="module")
+def browser(page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    with Browser(tmp_path_factory.mktemp("profile")) as opened:
+        opened.open(page)
+        yield opened
+
+
+def test_the_page_is_small_and_names_nothing_to_fetch(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert len(text.encode()) < 4e6
+    assert (
+        re.findall(
+            r"""(?:src|href)\s*=\s*["'](?!data:)[^"']*["']""",
+            re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL),
+        )
+        == []
+    )
+    assert not re.search(r"\b(?:fetch|importScripts)\(\s*[\"']http", text)
+    assert "Permission is hereby granted" in text
+
+
+def test_a_title_cannot_end_the_script(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert "a &lt;/script&gt; title" in text
+    assert text.count("</script>") == 3
+
+
+def test_the_same_content_gives_the_same_page() -> None:
+    assert render(shown().content()) == render(shown().content())
+
+
+@pytest.mark.skipif(NODE is None, reason="no Node.js here")
+def test_the_script_parses(page: Path, tmp_path: Path) -> None:
+    script = re.findall(r"<script>(.*?)</script>", page.read_text(encoding="utf-8"), re.DOTALL)[-1]
+    (tmp_path / "page.js").write_text(script, encoding="utf-8")
+    assert NODE
+    assert subprocess.run([NODE, "--check", tmp_path / "page.js"], check=False).returncode == 0
+
+
+def test_the_page_opens_without_errors_and_fetches_nothing(browser: Browser, page: Path) -> None:
+    assert browser.errors == []
+    assert browser.requests == [page.resolve().as_uri()]
+
+
+def test_the_slider_moves_the_arm(browser: Browser) -> None:
+    browser.run("view.show(0)")
+    browser.settle()
+    before = browser.run("view.links()")
+    browser.run(
+        "(() => { const slider = document.getElementById('slider'); slider.value = slider.max;"
+        " slider.dispatchEvent(new Event('input')); })()"
+    )
+    browser.settle()
+    after = browser.run("view.links()")
+    last = shown().content()["motions"][0]["links"][-1]
+    assert [row for link in after for row in link] == pytest.approx(
+        [value for index in range(6) for value in last[7 * index : 7 * index + 3]], abs=1e-6
+    )
+    assert (
+        max(abs(a - b) for one, other in zip(before, after, strict=True) for a, b in zip(one, other, strict=True)) > 0.1
+    )
+    assert browser.run("document.getElementById('step').textContent") == (
+        f"step {len(motions()[0].poses) - 1} of {len(motions()[0].poses) - 1}"
+    )
+
+
+def test_play_animates_and_pause_stops(browser: Browser) -> None:
+    browser.run("view.show(0)")
+    browser.click("#play")
+    browser.run("new Promise((done) => setTimeout(done, 700))")
+    browser.click("#play")
+    browser.settle()
+    state = browser.run("view.state()")
+    assert state["frame"] > 0
+    assert not state["playing"]
+    browser.settle()
+    assert browser.run("view.state()") == state
+
+
+def test_a_start_is_chosen_and_a_preset_moves_the_camera(browser: Browser) -> None:
+    options = browser.run("[...document.getElementById('motion').options].map((each) => each.value)")
+    assert options[:2] == ["0", "2"]
+    browser.run(
+        "(() => { const choice = document.getElementById('motion'); choice.value = '2';"
+        " choice.dispatchEvent(new Event('change')); })()"
+    )
+    browser.settle()
+    assert browser.run("view.state().motion") == 2
+    before = browser.run("camera.position.toArray()")
+    browser.click("#views button:nth-child(2)")
+    assert browser.run("camera.position.toArray()") != before
+    assert browser.errors == []
