@@ -15,7 +15,6 @@ from scipy.spatial.distance import cdist
 from koopdqn import pose
 from koopdqn.app.api import load_config
 from koopdqn.app.commands.program import export_program
-from koopdqn.demonstrations.csv import read_table
 from koopdqn.demonstrations.dataset import Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -251,10 +250,10 @@ def test_other_files_hold_the_same_samples(tmp_path: Path) -> None:
     stores = pytest.importorskip("rosbags.typesys")
     given = program()
     write_rtde(tmp_path / "rtde.csv", given)
-    table = read_table(tmp_path / "rtde.csv")
-    joints = np.stack([table.numbers(f"target_q_{index}") for index in range(6)], axis=1)
+    table = np.genfromtxt(tmp_path / "rtde.csv", names=True)
+    joints = np.stack([table[f"target_q_{index}"] for index in range(6)], axis=1)
     np.testing.assert_allclose(joints, given.motion.joints, atol=1e-9)
-    tool = np.stack([table.numbers(f"target_tcp_pose_{index}") for index in range(6)], axis=1)
+    tool = np.stack([table[f"target_TCP_pose_{index}"] for index in range(6)], axis=1)
     there = pose.make(tool[:, :3], pose.from_rotation_vector(tool[:, 3:]))
     assert pose.position_distance(there, given.motion.poses).max() < 1e-8
     assert pose.rotation_distance(there, given.motion.poses).max() < 1e-8
@@ -279,6 +278,7 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     (run / "train.json").write_text(f'{{"step_limit": {STEP_LIMIT}}}')
     (run / "policy.safetensors").write_bytes(b"any")
     monkeypatch.setattr("koopdqn.rl.policy.read_policy", lambda path, task: (policy, {}))
+    monkeypatch.setattr("koopdqn.app.commands.pipeline.as_trained", lambda config, run, policy: config)
     config = load_config("program.urscript=movep", "program.formats=[urscript,rtde,robomimic]")
     result = export_program(config, run, out)
     report = ProgramFile.model_validate_json((out / "program.json").read_text())
