@@ -1,6 +1,7 @@
 """What every test shares: off-screen rendering, the marker of slow tests, reproducible examples, the shelf."""
 
 import os
+import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 # MuJoCo reads this once, at its first import; unset it means GLFW, which needs a display.
 if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
     os.environ.setdefault("MUJOCO_GL", "egl")
+
+# Whoever runs the tests may ignore hangups, as nohup does; what the tests start would inherit that.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # PyTorch's CUDA builds bring Triton, which crashes where Mesa's renderer has loaded another LLVM before it.
 with suppress(ImportError):

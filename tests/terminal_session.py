@@ -1,7 +1,6 @@
 """A koopdqn in a terminal of its own, with keys to press and a screen to read."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -49,8 +48,6 @@ class Session:
             dimensions=(height, width),
             env={**outer, **base, **(environment or {})},
             timeout=60,
-            # Whoever runs the tests may ignore hangups (nohup), and a child would inherit that.
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )
         self.child.delaybeforesend = None
 

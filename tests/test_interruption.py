@@ -48,8 +48,6 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": path},
-        # Whoever runs the tests may ignore hangups (nohup), and a child would inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
     )
     try:
         while process.poll() is None and not any(path.stat().st_size for path in folder.glob(when)):
