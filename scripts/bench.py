@@ -10,13 +10,13 @@ import platform
 import sys
 import tempfile
 from argparse import ArgumentParser
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import torch
 from benchmarks import edmd, kinematics, learning, startup
-from benchmarks.rows import Row, table
+from benchmarks.rows import Row, line, table
 
 from docs import replaced
 
@@ -36,16 +36,15 @@ _PACKAGES = (
 )
 
 
-def measured(folder: Path, pykoopman: Path | None, *, long: bool) -> list[Row]:
-    """Return all rows; what they write on the way goes below a folder."""
+def measured(folder: Path, pykoopman: Path | None, *, long: bool) -> Iterator[Row]:
+    """Yield all rows as they are measured; what they write on the way goes below a folder."""
+    yield from startup.rows(folder)
     prepared = learning.prepare("shelf")
-    return [
-        *startup.rows(folder),
-        *kinematics.rows(prepared.workcell),
-        learning.update_row(prepared),
-        *edmd.rows(folder, pykoopman, long=long),
-        *(row for task in ("shelf", "knife") for row in learning.learning_rows(task, folder, long=long)),
-    ]
+    yield from kinematics.rows(prepared.workcell)
+    yield learning.update_row(prepared)
+    yield from edmd.rows(folder, pykoopman, long=long)
+    for task in ("shelf", "knife"):
+        yield from learning.learning_rows(task, folder, long=long)
 
 
 def machine(load: float) -> str:
@@ -71,7 +70,10 @@ def main(arguments: Sequence[str]) -> int:
     load = os.getloadavg()[0]
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory(prefix="koopdqn-bench-") as folder:
-        rows = measured(Path(folder), options.pykoopman, long=options.long)
+        rows = []
+        for row in measured(Path(folder), options.pykoopman, long=options.long):
+            print(line(row), file=sys.stderr, flush=True)
+            rows.append(row)
     about = machine(load)
     content = {"machine": about, "rows": [row.described() for row in rows]}
     DATA.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -94,13 +94,16 @@ def _seconds(work: Callable[[], object], rounds: int) -> float:
 
 def table(rows: Sequence[Row]) -> str:
     """Return the rows as a Markdown table."""
-    lines = ["| what | ours | peer or limit | theirs | ratio | bar | note |", "|---|---|---|---|---|---|---|"]
-    for row in rows:
-        ours = NOT_MEASURED if row.ours is None else figure(row.ours, row.unit)
-        theirs = row.theirs if isinstance(row.theirs, str) else figure(row.theirs, row.unit)
-        ratio = "" if row.ratio is None else f"{row.ratio:.2f}"
-        lines.append(f"| {row.what} | {ours} | {row.peer} | {theirs} | {ratio} | {_bar(row)} | {row.note} |")
-    return "\n".join(lines)
+    heads = ["| what | ours | peer or limit | theirs | ratio | bar | note |", "|---|---|---|---|---|---|---|"]
+    return "\n".join([*heads, *map(line, rows)])
+
+
+def line(row: Row) -> str:
+    """Return a row as a line of the table."""
+    ours = NOT_MEASURED if row.ours is None else figure(row.ours, row.unit)
+    theirs = row.theirs if isinstance(row.theirs, str) else figure(row.theirs, row.unit)
+    ratio = "" if row.ratio is None else f"{row.ratio:.2f}"
+    return f"| {row.what} | {ours} | {row.peer} | {theirs} | {ratio} | {_bar(row)} | {row.note} |"
 
 
 def figure(value: float, unit: str) -> str:
