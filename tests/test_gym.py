@@ -21,6 +21,7 @@ from test_dm import untrusting
 
 import koopdqn.gym
 from koopdqn.app import api
+from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.envs.batch import EnvironmentParts
@@ -28,6 +29,7 @@ from koopdqn.envs.dm import KoopmanEnvironment
 from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv, observation_space
 from koopdqn.envs.sb3 import StableBaselinesVecEnv
 from koopdqn.errors import BadInputError
+from koopdqn.intent.fit import Fitted
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.rl.answers import FeedbackSettings
@@ -173,7 +175,7 @@ def test_the_same_step_begins_an_ended_episode_and_tells_how_it_ended(env_parts:
 def test_stable_baselines_is_told_how_episodes_ended(env_parts: EnvironmentParts) -> None:
     environment = StableBaselinesVecEnv(cut_after(2, env_parts, 3, "SameStep"))
     environment.seed(5)
-    before = np.asarray(environment.reset())
+    before = environment.reset()
     environment.step(np.full(3, 2))
     after, _, done, infos = environment.step(np.full(3, 2))
     assert done.all()
@@ -184,7 +186,7 @@ def test_stable_baselines_is_told_how_episodes_ended(env_parts: EnvironmentParts
         assert info["episode"]["l"] == 2
     assert not np.array_equal(np.asarray(after), before)
     environment.seed(5)
-    np.testing.assert_array_equal(np.asarray(environment.reset()), before)
+    np.testing.assert_array_equal(environment.reset(), before)
     with pytest.raises(BadInputError, match="must be SameStep for Stable-Baselines3, found NextStep"):
         StableBaselinesVecEnv(cut_after(2, env_parts, 3, "NextStep"))
 
@@ -265,12 +267,12 @@ def test_the_flange_stays_within_reach(workcell: Workcell) -> None:
 
 
 def test_the_intent_is_fitted_once_in_a_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    fits: list[int] = []
+    fits: list[Demonstrations] = []
     fit = api.fit
 
-    def counted(*given: Any) -> Any:
-        fits.append(1)
-        return fit(*given)
+    def counted(config: Configuration, demonstrations: Demonstrations) -> Fitted:
+        fits.append(demonstrations)
+        return fit(config, demonstrations)
 
     monkeypatch.setattr(koopdqn.gym, "_FITTED", {})
     monkeypatch.setattr(api, "fit", counted)
@@ -306,7 +308,9 @@ def test_without_gymnasium_the_extra_is_named() -> None:
 
 
 def test_the_viewer_of_dm_control_sees_the_arm_move(workcell: Workcell, reward: IntentReward) -> None:
-    from dm_control.viewer.runtime import Runtime
+    with warnings.catch_warnings(action="ignore"):
+        # glfw misses a display when it is imported; the runtime needs none.
+        from dm_control.viewer.runtime import Runtime
 
     environment = KoopmanEnvironment(EnvironmentParts(workcell, untrusting(reward), Clerk(), 50), 0)
     runtime = Runtime(environment, policy=lambda timestep: 4)

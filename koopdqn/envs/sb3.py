@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from koopdqn.errors import BadInputError
 
@@ -32,7 +32,7 @@ class StableBaselinesVecEnv(VecEnv):
         self.render_mode = env.render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
-    def reset(self) -> VecEnvObs:
+    def reset(self) -> np.ndarray:
         """Begin all episodes anew."""
         observations, _ = self._env.reset(seed=self._seeds[0])
         self._reset_seeds()
@@ -65,8 +65,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return a picture of each episode."""
-        pictures: Any = self._env.render()
-        return pictures or [None] * self.num_envs
+        return [np.asarray(picture) for picture in self._env.render() or ()]
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the environment, once an episode."""
