@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
 
 # Folders in the sdist, and where the wheel holds those that it takes.
-SDIST_FOLDERS = ("assets", "conf", "docs", "koopdqn", "scripts", "tests")
+SDIST_FOLDERS = ("assets", "conf", "docs", "examples", "koopdqn", "scripts", "tests")
 WHEEL_FOLDERS = {"koopdqn": "koopdqn", "conf": "koopdqn/conf", "assets": "koopdqn/assets"}
 SDIST_FILES = frozenset(
     {
