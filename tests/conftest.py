@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from koopdqn.intent.fit import Fitted
     from koopdqn.intent.reward import IntentReward
     from koopdqn.pose import Array
+    from koopdqn.robot.scene import Scene
     from koopdqn.robot.ur import URArm
     from koopdqn.tasks.shelf import ShelfTask
     from koopdqn.tasks.workcell import Workcell
@@ -76,6 +77,22 @@ def workcell(shelf_task: "ShelfTask", arm: "URArm") -> "Workcell":
     from koopdqn.tasks.workcell import open_workcell
 
     return open_workcell(shelf_task, arm)
+
+
+@pytest.fixture(scope="session")
+def scene(workcell: "Workcell") -> "Scene":
+    return workcell.scene
+
+
+@pytest.fixture(scope="session")
+def motion(workcell: "Workcell") -> "Array":
+    """Joint angles (N, 6) [rad] of the shelf's arm along the nominal path."""
+    from koopdqn import pose
+
+    points = workcell.task.nominal_path.points[::8]
+    joints, reason = workcell.reachability.follow(pose.make(points, workcell.task.start_quaternion))
+    assert joints is not None, reason
+    return joints
 
 
 @pytest.fixture(scope="session")

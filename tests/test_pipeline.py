@@ -35,6 +35,11 @@ def test_a_run_is_evaluated_with_its_own_task_arm_and_reward(
     assert read_json(tmp_path / "eval" / "eval.json", "the evaluation")["episodes"] == 3
 
 
+def test_a_run_is_shown_with_its_own_task(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["view", f"run={run}", "view.starts=1", f"out={tmp_path / 'view'}"]) == 0
+    assert "task: as in the run" in capsys.readouterr().err
+
+
 def test_what_the_command_line_changes_stays_changed(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -278,7 +278,6 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     (run / "train.json").write_text(f'{{"step_limit": {STEP_LIMIT}}}')
     (run / "policy.safetensors").write_bytes(b"any")
     monkeypatch.setattr("koopdqn.rl.policy.read_policy", lambda path, task: (policy, {}))
-    monkeypatch.setattr("koopdqn.app.commands.pipeline.as_trained", lambda config, run, policy: config)
     config = load_config("program.urscript=movep", "program.formats=[urscript,rtde,robomimic]")
     result = export_program(config, run, out)
     report = ProgramFile.model_validate_json((out / "program.json").read_text())

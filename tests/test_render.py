@@ -5,7 +5,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from koopdqn import pose
 from koopdqn.errors import WorkFailedError
 from koopdqn.robot import VARIABLE
 from koopdqn.robot.render import Camera, Ghost, Line, Sphere
@@ -14,24 +13,9 @@ from koopdqn.robot.view import View, choose_view
 if TYPE_CHECKING:
     from koopdqn.pose import Array
     from koopdqn.robot.scene import Scene
-    from koopdqn.tasks.workcell import Workcell
 
 SIZE = (320, 240)
 RED = (1.0, 0.0, 0.0, 1.0)
-
-
-@pytest.fixture(scope="module")
-def scene(workcell: "Workcell") -> "Scene":
-    return workcell.scene
-
-
-@pytest.fixture(scope="module")
-def motion(workcell: "Workcell") -> "Array":
-    """Joint angles along the nominal path."""
-    points = workcell.task.nominal_path.points[::8]
-    joints, reason = workcell.reachability.follow(pose.make(points, workcell.task.start_quaternion))
-    assert joints is not None, reason
-    return joints
 
 
 @pytest.fixture(scope="module")

@@ -5,29 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koopdqn import pose
 from koopdqn.robot.view import View, choose_view, fitted_view
 
 if TYPE_CHECKING:
     from koopdqn.pose import Array
     from koopdqn.robot.scene import Scene
-    from koopdqn.tasks.workcell import Workcell
 
 SIZE = (320, 240)
-
-
-@pytest.fixture(scope="module")
-def scene(workcell: "Workcell") -> "Scene":
-    return workcell.scene
-
-
-@pytest.fixture(scope="module")
-def motion(workcell: "Workcell") -> "Array":
-    """Joint angles along the nominal path."""
-    points = workcell.task.nominal_path.points[::8]
-    joints, reason = workcell.reachability.follow(pose.make(points, workcell.task.start_quaternion))
-    assert joints is not None, reason
-    return joints
 
 
 @pytest.fixture(scope="module")

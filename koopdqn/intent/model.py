@@ -75,6 +75,18 @@ class IntentModel(ABC):
         """Return the predicted next poses (N, 7) of poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
         return self.start_frame.from_frame(self.predict(self.start_frame.to_frame(poses, starts)), starts, poses)
 
+    def intended_paths(self, starts: Array, limit: int, step: float) -> Array:
+        """Return the poses (T, N, 7) of following the intent from starts (N, 7), a ``step`` [m] each.
+
+        They end where all rest, or after ``limit`` steps.
+        """
+        poses = [starts]
+        for _ in range(limit):
+            poses.append(self.to_step(poses[-1], self.intended(poses[-1], starts), step))
+            if np.abs(poses[-1] - poses[-2]).max() < _AT_REST:
+                break
+        return np.array(poses)
+
     @property
     @abstractmethod
     def matrices(self) -> dict[str, KoopmanModel]:

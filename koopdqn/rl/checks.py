@@ -14,9 +14,6 @@ from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
-# Below this [m, or of a quaternion's entries] a roll-out has come to rest.
-_AT_REST = 1e-9
-
 
 class Checker:
     """Measures policies from fixed starts."""
@@ -54,13 +51,7 @@ class Checker:
     @cached_property
     def _intended(self) -> Array:
         """The intent's roll-outs (T, N, 7) from the starts, until they rest."""
-        poses = [self._starts]
-        for _ in range(self._step_limit):
-            wished = self._model.intended(poses[-1], self._starts)
-            poses.append(self._model.to_step(poses[-1], wished, self._workcell.task.step_m))
-            if np.abs(poses[-1] - poses[-2]).max() < _AT_REST:
-                break
-        return np.array(poses)
+        return self._model.intended_paths(self._starts, self._step_limit, self._workcell.task.step_m)
 
 
 @dataclass

@@ -155,16 +155,9 @@ def intended_path(model: IntentModel, task: Task, start: Array, step_limit: int)
 
     It ends at the goal, where the prediction rests, or at the limit.
     """
-    poses = [start[None]]
-    for _ in range(step_limit):
-        here = poses[-1]
-        there = model.to_step(here, model.intended(here, start[None]), task.step_m)
-        if np.abs(there - here).max() < 1e-9:
-            break
-        poses.append(there)
-        if task.reached(there)[0]:
-            break
-    return np.concatenate(poses)
+    path = model.intended_paths(start[None], step_limit, task.step_m)[:, 0]
+    reached = np.flatnonzero(task.reached(path[1:]))
+    return path if not len(reached) else path[: reached[0] + 2]
 
 
 def demonstrated_motions(

@@ -40,7 +40,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
-    from koopdqn.app.commands.pipeline import with_task
+    from koopdqn.app.commands.pipeline import as_trained, with_task
     from koopdqn.settings import plain
     from koopdqn.threads import threads
     from koopdqn.untrusted import targets, trusting
@@ -64,6 +64,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         if command in ("fit", "train", "eval") or measured is not None:
             # The run that these read holds its demonstrations; the others keep them in their own folder.
             settings = with_task(settings, measured or folder, keep=measured is None)
+        if measured is not None:
+            settings = as_trained(settings, measured)
         module, _, function = place.partition(".")
         result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result

@@ -9,7 +9,8 @@ from rich.console import RenderableType
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.train import POLICY, REPORT
+from koopdqn.app.commands.pipeline import POLICY
+from koopdqn.app.commands.train import REPORT
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -43,7 +44,6 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     source = config.inputs.run
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
-    config = pipeline.as_trained(config, source, source / POLICY)
     policy, about = read_policy(source / POLICY, config.task)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)

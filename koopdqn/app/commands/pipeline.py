@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from koopdqn.view.motions import Motion
 
 DEMONSTRATIONS = "demos.hdf5"
+INTENT = "intent.npz"
+POLICY = "policy.safetensors"
 
 
 def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configuration:
@@ -103,7 +105,7 @@ def _arm_in(config: Configuration, task: DemonstratedTask) -> Reachability:
     return Reachability(config.robot, scene, seconds, posture)
 
 
-def as_trained(config: Configuration, run: Path, policy: Path) -> Configuration:
+def as_trained(config: Configuration, run: Path) -> Configuration:
     """Return a config with the task, arm and reward that a run was trained with, as its policy's file holds them.
 
     They may differ from the config because koopdqn's defaults have changed since. What the command line changes
@@ -112,6 +114,7 @@ def as_trained(config: Configuration, run: Path, policy: Path) -> Configuration:
     Raises:
         BadInputError: the file is missing, damaged, or holds what this release does not know.
     """
+    policy = run / POLICY
     about = read_artifact(policy, "policy").about
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
@@ -135,9 +138,6 @@ def as_trained(config: Configuration, run: Path, policy: Path) -> Configuration:
         robot=robot if "robot" in own else config.robot,
         reward=reward if "reward" in own else config.reward,
     )
-
-
-INTENT = "intent.npz"
 
 
 def open_scene(config: Configuration) -> Workcell:

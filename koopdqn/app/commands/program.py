@@ -10,7 +10,8 @@ from koopdqn import console, pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.eval import step_limit_of
-from koopdqn.app.commands.train import POLICY, REPORT
+from koopdqn.app.commands.pipeline import POLICY
+from koopdqn.app.commands.train import REPORT
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
@@ -38,7 +39,6 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
     from koopdqn.rl.policy import read_policy
 
     settings = config.program
-    config = pipeline.as_trained(config, run, run / POLICY)
     policy, _ = read_policy(run / POLICY, config.task)
     step_limit = step_limit_of(run / REPORT)
     workcell = pipeline.open_scene(config)

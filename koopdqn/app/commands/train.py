@@ -8,6 +8,7 @@ from typing import Any
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
@@ -28,7 +29,6 @@ from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.settings import shown
 
-POLICY = "policy.safetensors"
 REPORT = "train.json"
 
 

@@ -8,10 +8,11 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.eval import step_limit_of
-from koopdqn.app.commands.train import POLICY, REPORT
+from koopdqn.app.commands.pipeline import POLICY
+from koopdqn.app.commands.train import REPORT
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.result import CommandResult
-from koopdqn.artifact import read_artifact
+from koopdqn.artifact import read_artifact, reading
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.reading import files_of, is_csv, read_demonstrations
@@ -74,7 +75,8 @@ def _of_run(config: Configuration, source: Path) -> Shown:
     path = checkpoint.checkpoint_path(source)
     if path.is_file():
         arrays = read_artifact(path, checkpoint.KIND).arrays
-        feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
+        with reading(f"checkpoint {path}"):
+            feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
     starts, limit = min(config.view.starts, config.eval.episodes), step_limit_of(source / REPORT)
     referred = pipeline.held_out_of(config) is None
     with console.stage("Moving the arm"):
