@@ -165,6 +165,32 @@ def learning_rows(config: Configuration) -> list[Row]:
     ]
 
 
+def environment_rows(count: int = 256, steps: int = 20) -> list[Row]:
+    """Return how many steps a second Gymnasium's environment of many episodes makes, all that it does included."""
+    import gymnasium
+
+    import koopdqn.gym
+
+    rng = np.random.default_rng(0)
+    rows = []
+    for what, random in (("the model's best actions, a tenth random", 0.1), ("random actions", 1.0)):
+        env = gymnasium.make_vec("koopdqn/Shelf-v0", count)
+        env.reset(seed=0)
+        reward = koopdqn.gym.environment_parts("shelf").reward
+        where, starts = env.reset()[1]["pose"], np.tile(reward.task.nominal_start, (count, 1))
+        rates = []
+        for _ in range(REPEATS * steps):
+            best = reward.evaluate_actions(where, np.zeros(count, dtype=np.int64), starts).margin.argmax(axis=1)
+            actions = np.where(rng.random(count) < random, rng.integers(COUNT, size=count), best)
+            began = time.process_time()
+            where = env.step(actions)[4]["pose"]
+            rates.append(count / (time.process_time() - began))
+        rows.append(
+            Row(f"make_vec, {count} episodes: {what}", f"{statistics.median(rates):.0f}/s", "of processor time")
+        )
+    return rows
+
+
 def startup_row() -> Row:
     """Return the time of `koopdqn --help` as a whole process."""
     command = [str(Path(sys.executable).with_name("koopdqn")), "--help"]
@@ -182,7 +208,12 @@ def main() -> None:
     for pose in poses[1:]:
         joints.append(np.array(arm.inverse(pose, joints[-1]).joints))
     table = Table("what", "median", "note", title="koopdqn on this machine")
-    for row in [startup_row(), *kinematics_rows(arm, poses, np.array(joints)), *learning_rows(config)]:
+    for row in [
+        startup_row(),
+        *kinematics_rows(arm, poses, np.array(joints)),
+        *learning_rows(config),
+        *environment_rows(),
+    ]:
         table.add_row(row.what, row.median, row.note)
     Console().print(table)
 
