@@ -1,6 +1,6 @@
 """Stable-Baselines3's DQN or PPO on the shelf, through Gymnasium, 64 episodes at once.
 
-Run it with ``python examples/stable_baselines.py PPO 300000``: learner, steps, then overrides like ``seed=3``.
+Run it with ``python examples/stable_baselines.py DQN 50000``: learner, steps, then overrides like ``seed=3``.
 """
 
 import sys

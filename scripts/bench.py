@@ -15,7 +15,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import torch
-from benchmarks import edmd, kinematics, learning, startup
+from benchmarks import edmd, environments, kinematics, learning, startup
 from benchmarks.rows import Row, line, table
 
 from docs import replaced
@@ -42,6 +42,7 @@ def measured(folder: Path, pykoopman: Path | None, *, long: bool) -> Iterator[Ro
     prepared = learning.prepare("shelf")
     yield from kinematics.rows(prepared.workcell)
     yield learning.update_row(prepared)
+    yield environments.row()
     yield from edmd.rows(folder, pykoopman, long=long)
     for task in ("shelf", "knife"):
         yield from learning.learning_rows(task, folder, long=long)

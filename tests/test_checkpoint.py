@@ -3,8 +3,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from parts import load_parts
 
-from koopdqn.artifact import Artifact, write_artifact
+from koopdqn.artifact import Artifact, described, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
 
@@ -66,3 +67,10 @@ def test_an_artifact_of_another_kind_in_its_place_is_refused(tmp_path: Path) -> 
     write_artifact(checkpoint_path(tmp_path), Artifact("policy", {}, {}))
     with pytest.raises(BadInputError, match="must be of kind checkpoint, found kind policy"):
         read_checkpoint(tmp_path, SHAPED_BY)
+
+
+def test_a_run_goes_on_that_names_its_augmentation_by_the_old_key(tmp_path: Path) -> None:
+    intent = described(load_parts("intent=fourier").intent)
+    old = {("stabilisation" if key == "augmentation" else key): value for key, value in intent.items()}
+    save_checkpoint(tmp_path, _Stub(), SHAPED_BY | {"intent": old}, 1.0)  # type: ignore[arg-type]  # only its state is used
+    assert read_checkpoint(tmp_path, SHAPED_BY | {"intent": intent}) is not None

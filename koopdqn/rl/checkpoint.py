@@ -4,10 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from koopdqn.artifact import Artifact, read_artifact, reading, write_artifact
+from koopdqn.artifact import Artifact, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.files import canonical_json
+from koopdqn.intent.model import IntentSettings
 from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.settings import load_settings
 
 KIND = "checkpoint"
 # Most differences and most characters of a value in a message.
@@ -46,7 +48,11 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
         return None
     artifact = read_artifact(path, KIND)
     with reading(f"checkpoint {path}"):
-        other = _differences("", artifact.about["shaped_by"], json.loads(canonical_json(shaped_by)))
+        began = dict(artifact.about["shaped_by"])
+        if "intent" in began:
+            # Runs of earlier commits may use old names of keys.
+            began["intent"] = described(load_settings(began["intent"], IntentSettings, "intent"))
+        other = _differences("", began, json.loads(canonical_json(shaped_by)))
         float(artifact.about["seconds"])
     if other:
         shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
