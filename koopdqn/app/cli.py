@@ -51,8 +51,12 @@ _COMMANDS = {
         ),
     ),
     "import": (
-        "Read real demonstrations (CSV or HDF5), check them and keep them as one HDF5 file.",
-        ("koopdqn import demos=log.csv", "koopdqn import 'demos=logs/*.csv' out=runs/mine"),
+        "Recognise and read recordings of any kind, check them and keep them as one HDF5 file.",
+        (
+            "koopdqn import log.csv",
+            "koopdqn import logs/*.csv import.units=mm out=runs/mine",
+            "koopdqn import bag.mcap import.pose=tool0",
+        ),
     ),
     "export": (
         "Write demonstrations as CSV.",

@@ -36,6 +36,8 @@ _RECORD: Final = Path(".hydra") / "overrides.yaml"
 _OWN_KEYS: Final = ("command", "out", "run")
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
+_TAKES_FILES: Final = ("import", "inspect")
+"""Commands whose files may stand alone."""
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
 
 
@@ -69,8 +71,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
       robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``import`` and ``export`` work on demonstrations of any kind: without ``task=`` theirs is the one that
-      demonstrations define.
+    - ``import`` and ``inspect`` also take files alone, without ``demos=``.
+    - ``import``, ``inspect`` and ``export`` work on demonstrations of any kind: without ``task=`` theirs is the one
+      that demonstrations define.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -82,6 +85,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
             that can be continued.
     """
+    if command in _TAKES_FILES:
+        overrides = _with_files(overrides)
     prepared = [_prepare_one(override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
@@ -90,7 +95,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if command == "eval":
         named = bool(folders) and folders[-1] != "null"
         return _prepare_evaluation(prepared, folders[-1] if named else str(newest_trained_run()))
-    if command in ("import", "export") and "task" not in keys:
+    if command in ("import", "inspect", "export") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
     if command not in _CONTINUED or not folders or folders[-1] == "null":
         return Prepared([*prepared, f"command={command}"])
@@ -115,6 +120,18 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         "hydra.output_subdir=null",
     ]
     return Prepared(merged, continues=True)
+
+
+def _with_files(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides, files that stand alone gathered in ``demos=``."""
+    files = [each for each in overrides if "=" not in each and (not each.startswith("~") or each.startswith("~/"))]
+    files += [each for each in overrides if each not in files and "=" in each and Path(each).exists()]
+    rest = [each for each in overrides if each not in files]
+    if not files:
+        return rest
+    if any(_key(each) == "demos" for each in rest):
+        raise BadInputError(f"demos: must be given by demos= or by files alone, found both: {files[0]}")
+    return [f"demos=[{','.join(_quoted(each) for each in files)}]", *rest]
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
