@@ -4,6 +4,7 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from rich.console import RenderableType
@@ -19,6 +20,10 @@ from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.demonstrations.recordings.load import Loaded
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
+from koopdqn.pose import Array
+
+# Of so many poses of a demonstration it is tried whether the arm reaches them.
+_TRIED: Final = 1000
 
 
 def sources_of(config: Configuration, purpose: str) -> tuple[str, ...]:
@@ -86,12 +91,17 @@ def _motions(each: Loaded) -> RenderableType:
     )
 
 
+def _some(poses: Array) -> Array:
+    """Return at most :data:`_TRIED` of the poses (N, 7), evenly spread."""
+    return np.asarray(poses[np.unique(np.linspace(0, len(poses) - 1, _TRIED).astype(int))])
+
+
 def import_(config: Configuration, folder: Path) -> CommandResult:
     """Write what ``demos=`` names to ``demos.hdf5``, sample for sample, and say what is in it and how it was read."""
     read, demonstrations = read_and_cut(config, "import")
     name, path = config.chosen.name, folder / DEMONSTRATIONS
     cut = trim_idle_each(demonstrations.items)
-    reachable = [all(len(config.robot.solutions(here)) for here in each.item.poses) for each in cut]
+    reachable = [all(len(config.robot.solutions(here)) for here in _some(each.item.poses)) for each in cut]
     lengths = [float(arc_lengths(each.item.poses[:, pose.POSITION])[-1]) for each in cut]
     turns = [float(pose.rotation_distance(each.item.poses[0], each.item.poses[-1])) for each in cut]
     samples = [len(item) for item in demonstrations.items]

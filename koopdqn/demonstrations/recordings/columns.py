@@ -1,13 +1,14 @@
 """Tables to recordings: the columns that names show, or that numbers without names show by what they are."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.layout import Layout, layout_of
+from koopdqn.demonstrations.recordings.layout import layout_of
+from koopdqn.demonstrations.recordings.poses import PoseColumns
 from koopdqn.demonstrations.recordings.recording import Columns, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
@@ -31,34 +32,41 @@ def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording 
     layout = layout_of(columns.where, columns.names, declared)
     stated = stated or Recording(columns.where)
     found = replace(stated, where=columns.where, rows=columns.lines, reasons=(*stated.reasons, *layout.reasons))
-    found = _with_pose(columns, layout, found)
+    pose = layout.pose
+    parts = (*layout.time, *layout.joints, *layout.tool, *((*pose.position, *pose.turn) if pose else ()))
+    needed = tuple(dict.fromkeys(parts))
+    # All at once: to read text takes longer than what follows.
+    numbers = columns.numbers(needed)
+
+    def taken(places: tuple[int, ...]) -> Array:
+        return numbers[:, [needed.index(place) for place in places]]
+
+    if pose is not None:
+        found = _with_pose(pose, taken, found)
     if layout.joints:
-        found = replace(found, joints=columns.numbers(layout.joints))
+        found = replace(found, joints=taken(layout.joints))
         if layout.pose is None:
             found = replace(found, angles=layout.joint_angles or found.angles)
     if layout.time:
-        ticks = columns.numbers(layout.time)
+        ticks = taken(layout.time)
         # Seconds and nanoseconds in two columns.
         times = ticks[:, 0] + 1e-9 * ticks[:, 1] if ticks.shape[1] == 2 else ticks[:, 0]
         found = replace(found, times=times, clock=layout.clock or found.clock)
     if layout.tool:
-        found = replace(found, tool=_tool(columns.numbers(layout.tool)))
+        found = replace(found, tool=_tool(taken(layout.tool)))
     if layout.demo is None:
         return [found]
     return _apart(found, columns.texts(layout.demo))
 
 
-def _with_pose(columns: Columns, layout: Layout, found: Recording) -> Recording:
-    pose = layout.pose
-    if pose is None:
-        return found
+def _with_pose(pose: PoseColumns, taken: Callable[[tuple[int, ...]], Array], found: Recording) -> Recording:
     found = replace(found, units=pose.units or found.units)
     if pose.rotation == "transform":
-        return replace(found, rotation="transform", turn=columns.numbers(pose.turn))
+        return replace(found, rotation="transform", turn=taken(pose.turn))
     return replace(
         found,
-        position=columns.numbers(pose.position),
-        turn=columns.numbers(pose.turn) if pose.turn else None,
+        position=taken(pose.position),
+        turn=taken(pose.turn) if pose.turn else None,
         rotation=pose.rotation,
         order=pose.order or found.order,
         angles=pose.angles or found.angles,

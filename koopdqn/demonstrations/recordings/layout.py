@@ -121,7 +121,7 @@ def _without_twins(names: Sequence[str]) -> Iterator[str]:
     seen: dict[str, int] = {}
     for name in names:
         count = seen[name] = seen.get(name, 0) + 1
-        yield name if count == 1 or name == _UNNAMED else f"{name}_{count}"
+        yield name if count == 1 or name == _UNNAMED else f"{count}.{name}"
 
 
 def _whole(name: Name) -> str:

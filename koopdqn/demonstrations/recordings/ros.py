@@ -67,7 +67,8 @@ def _read(path: Path, reader: Any, declared: ImportSettings, arm: Arm | None) ->
     wanted = [each for each in reader.connections if each.msgtype.endswith(_SETS)]
     series: dict[str, list[tuple[float, ...]]] = {}
     count = 0
-    for connection, logged, raw in reader.messages(connections=wanted):
+    # An empty choice would be all of them.
+    for connection, logged, raw in reader.messages(connections=wanted) if wanted else ():
         for name, row in _rows(connection.topic, reader.deserialize(raw, connection.msgtype), logged):
             series.setdefault(name, []).append(row)
             count += 1

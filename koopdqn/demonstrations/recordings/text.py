@@ -19,7 +19,8 @@ from koopdqn.settings import shown
 
 LARGEST_BYTES: Final = 1 << 30
 """The largest text file that is read."""
-_DELIMITERS: Final = (",", ";", "\t", "|")
+# A comma last: where another separates, it is a decimal one.
+_DELIMITERS: Final = (";", "\t", "|", ",")
 _COMMENTS: Final = ("#", "%", "//")
 _NUMERAL: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
 _HEAD: Final = 1 << 16
@@ -130,7 +131,8 @@ def _table(path: Path) -> TextColumns:
         raise BadInputError(f"demos {path}: must be text in UTF-8 or UTF-16, found something else")
     every = text.splitlines()
     kept = [number for number, line in enumerate(every) if line.strip(" \t,;|")]
-    rows = [number for number in kept if not _is_comment(every[number])]
+    commented = any(sign in text for sign in _COMMENTS)
+    rows = [number for number in kept if not _is_comment(every[number])] if commented else kept
     if not rows:
         raise BadInputError(f"demos {path}: must hold rows of numbers, found none")
     delimiter, header, first = _header(every, kept, rows)

@@ -67,7 +67,7 @@ def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array
         return
     flat = dict(_flat(kept))
     stacks = [name for name, value in flat.items() if value.ndim == 3 and value.shape[1:] not in ((4, 4), (3, 3))]
-    if stacks:
+    if stacks and not any(value.ndim == 2 and value.shape[1] in (3, 4, 7) for value in flat.values()):
         for index in range(len(flat[stacks[0]])):
             yield (
                 f"{prefix}{stacks[0]}[{index}]",
