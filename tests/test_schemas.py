@@ -13,6 +13,7 @@ from safetensors import safe_open
 
 from koopdqn.app import cli
 from koopdqn.app.recording import session as recording_schema
+from koopdqn.demonstrations import schema as inspection_schema
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent import schema as intent_schema
 from koopdqn.intent.schema import FitReport
@@ -121,7 +122,7 @@ def test_the_reports_of_a_run_agree_with_each_other(run: Path) -> None:
 
 def models() -> list[type[BaseModel]]:
     found: set[type[BaseModel]] = {EvaluationFile}
-    for module in (intent_schema, training_schema, feedback_schema, recording_schema):
+    for module in (intent_schema, training_schema, feedback_schema, recording_schema, inspection_schema):
         kinds = [value for value in vars(module).values() if isinstance(value, type)]
         found |= {kind for kind in kinds if issubclass(kind, BaseModel) and kind.__module__ == module.__name__}
     return sorted(found, key=lambda model: model.__name__)

@@ -58,6 +58,10 @@ _COMMANDS = {
             "koopdqn import bag.mcap import.pose=tool0",
         ),
     ),
+    "inspect": (
+        "Clean demonstrations by named steps and say what they are good for; the source stays as it is.",
+        ("koopdqn inspect logs/*.csv", "koopdqn inspect log.csv inspect.smoothing=false robot=ur5"),
+    ),
     "export": (
         "Write demonstrations as CSV.",
         ("koopdqn export demos=runs/mine/demos.hdf5", "koopdqn export demos=demos.hdf5 export.rotation=vector"),

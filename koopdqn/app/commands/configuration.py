@@ -6,6 +6,7 @@ from typing import Any, get_type_hints
 
 from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
+from koopdqn.demonstrations.cleaning import InspectSettings
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.recordings.declared import ImportSettings
@@ -65,6 +66,7 @@ class Configuration:
     eval: EvaluationSettings
     report: ReportSettings
     import_: ImportSettings
+    inspect: InspectSettings
     export: ExportSettings
     derived: Derived | None = None
 

@@ -131,7 +131,7 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
         return rest
     if any(_key(each) == "demos" for each in rest):
         raise BadInputError(f"demos: must be given by demos= or by files alone, found both: {files[0]}")
-    return [f"demos=[{','.join(_quoted(each) for each in files)}]", *rest]
+    return [f"demos=[{','.join(_literal(str(Path(each).expanduser())) for each in files)}]", *rest]
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
@@ -198,6 +198,11 @@ def _quoted(value: str) -> str:
         return value
     if _PLAIN_VALUE.fullmatch(value) and not _NUMBER_OR_BOOLEAN.fullmatch(value):
         return value
+    return _literal(value)
+
+
+def _literal(value: str) -> str:
+    """Return a text in quotes of Hydra's grammar."""
     # in Hydra's quotes a backslash is an ordinary character unless it stands before a quote
     escaped = re.sub(r"(\\*)('|$)", lambda m: m[1] * 2 + ("\\'" if m[2] else ""), value)
     return f"'{escaped}'"
