@@ -211,8 +211,8 @@ def test_every_file_of_a_run_folder_is_documented(run: Path) -> None:
     found = {"checkpoints/latest.safetensors" if path.name == "checkpoints" else path.name for path in run.iterdir()}
     found |= {path.name for path in (run / "eval").iterdir()}
     found = {f"{name}/" if name in ("events", ".hydra") else name for name in found - {"eval"}}
-    # Those of `koopdqn demo` and of a person at the terminal.
-    assert names - found == {"demos.png", "keys.jsonl", "questions/"}
+    # Those of `koopdqn demo`, of `koopdqn inspect` and of a person at the terminal.
+    assert names - found == {"demos.png", "inspect.json", "inspect.png", "keys.jsonl", "questions/"}
     assert found - names == set()
 
 
