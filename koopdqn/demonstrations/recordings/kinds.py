@@ -59,7 +59,12 @@ def kind_of(path: Path) -> tuple[Kind, str]:
             raise BadInputError(f"demos {path} must be readable, the system says: {error.strerror or error}") from error
         if reason is not None:
             return kind, reason
-    found = "a folder" if path.is_dir() else "an empty file" if not path.stat().st_size else "something else"
+    if path.is_dir():
+        raise BadInputError(
+            f"demonstrations must be a file, found something else at {path}: a folder that is neither a ROS 2 bag nor a"
+            " LeRobot data set"
+        )
+    found = "something else" if path.stat().st_size else "an empty file"
     raise BadInputError(
         f"demonstrations must be a file of text, HDF5, npy, npz, MATLAB, Parquet, a ROS bag or MCAP, found {found}"
         f" at {path}"
