@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from koopdqn.app.recording.session import KeyLine, SessionLine
+from koopdqn.demonstrations.schema import InspectionFile
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
@@ -23,6 +24,7 @@ from koopdqn.schema import ReportModel
 FILES: Final = Path(__file__).resolve().parents[1] / "docs" / "files.md"
 
 TABLES: Final[Mapping[str, type[ReportModel]]] = {
+    "inspect.json": InspectionFile,
     "fit.json": FitReport,
     "train.json": TrainReport,
     "feedback.jsonl": AnswerLine,

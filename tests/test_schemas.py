@@ -13,6 +13,7 @@ from safetensors import safe_open
 
 from koopdqn.app import cli
 from koopdqn.app.recording import session as recording_schema
+from koopdqn.demonstrations import schema as inspection_schema
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent import schema as intent_schema
 from koopdqn.intent.schema import FitReport
@@ -121,7 +122,7 @@ def test_the_reports_of_a_run_agree_with_each_other(run: Path) -> None:
 
 def models() -> list[type[BaseModel]]:
     found: set[type[BaseModel]] = {EvaluationFile}
-    for module in (intent_schema, training_schema, feedback_schema, recording_schema):
+    for module in (intent_schema, training_schema, feedback_schema, recording_schema, inspection_schema):
         kinds = [value for value in vars(module).values() if isinstance(value, type)]
         found |= {kind for kind in kinds if issubclass(kind, BaseModel) and kind.__module__ == module.__name__}
     return sorted(found, key=lambda model: model.__name__)
@@ -210,8 +211,9 @@ def test_every_file_of_a_run_folder_is_documented(run: Path) -> None:
     found = {"checkpoints/latest.safetensors" if path.name == "checkpoints" else path.name for path in run.iterdir()}
     found |= {path.name for path in (run / "eval").iterdir()}
     found = {f"{name}/" if name in ("events", ".hydra") else name for name in found - {"eval"}}
-    # Those of `koopdqn demo`, of a person at the terminal, of films and of `koopdqn view`.
-    assert names - found == {"demos.png", "keys.jsonl", "questions/", "eval.mp4", "view.html"}
+    # Those of `koopdqn demo` and `inspect`, of a person at the terminal, of films and of `koopdqn view`.
+    others = {"demos.png", "inspect.json", "inspect.png", "keys.jsonl", "questions/", "eval.mp4", "view.html"}
+    assert names - found == others
     assert found - names == set()
 
 

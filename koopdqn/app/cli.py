@@ -60,8 +60,16 @@ _COMMANDS = {
         ),
     ),
     "import": (
-        "Read real demonstrations (CSV or HDF5), check them and keep them as one HDF5 file.",
-        ("koopdqn import demos=log.csv", "koopdqn import 'demos=logs/*.csv' out=runs/mine"),
+        "Recognise and read recordings of any kind, check them and keep them as one HDF5 file.",
+        (
+            "koopdqn import log.csv",
+            "koopdqn import logs/*.csv import.units=mm out=runs/mine",
+            "koopdqn import bag.mcap import.pose=tool0",
+        ),
+    ),
+    "inspect": (
+        "Clean demonstrations by named steps and say what they are good for; the source stays as it is.",
+        ("koopdqn inspect logs/*.csv", "koopdqn inspect log.csv inspect.smoothing=false robot=ur5"),
     ),
     "export": (
         "Write a learned path as a robot program, or demonstrations as CSV.",

@@ -1,15 +1,15 @@
-"""Reads demonstrations from files, HDF5 or CSV: one, several or a glob."""
+"""Demonstrations from whatever files the user names, one, several or a glob."""
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from koopdqn.demonstrations.csv import read_csv
+from koopdqn import console
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
-from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
+from koopdqn.demonstrations.recordings.load import Loaded, load
 from koopdqn.errors import BadInputError
-
-_CSV = (".csv", ".tsv", ".txt")
+from koopdqn.robot.arm import Arm
 
 
 def files_of(sources: Sequence[str]) -> list[Path]:
@@ -37,41 +37,66 @@ def files_of(sources: Sequence[str]) -> list[Path]:
     return found
 
 
-def read_demonstrations(sources: Sequence[str], task: str, arm: str, any_task: bool = False) -> Demonstrations:
-    """Return the demonstrations of all files of sources (:func:`files_of`), in their order.
+def read_files(sources: Sequence[str], declared: ImportSettings, arm: Arm | None) -> list[Loaded]:
+    """Return what each of the files holds that sources name (:func:`files_of`).
 
-    Files that end in .csv, .tsv or .txt are CSV, all others HDF5.
+    Raises:
+        BadInputError: a file is missing, damaged, or something must be declared.
+    """
+    return [load(path, declared, arm) for path in files_of(sources)]
+
+
+def read_demonstrations(
+    sources: Sequence[str],
+    task: str,
+    arm: str | Arm,
+    any_task: bool = False,
+    declared: ImportSettings = NOTHING,
+) -> Demonstrations:
+    """Return the demonstrations of all files that sources name (:func:`files_of`), one file after the other.
+
+    What files of others were recognised as is told on standard error.
 
     Args:
         sources: paths or globs, at least one.
-        task: name of their task; CSV files have none.
-        arm: name of the arm for CSV files, which have none.
-        any_task: whether HDF5 files of other tasks are accepted.
+        task: name of the task they are to be of; most files do not say.
+        arm: the arm, which most files do not name either; its name alone will do but for recordings of joints.
+        any_task: whether files of other tasks will do.
+        declared: what files of others do not say.
 
     Raises:
-        BadInputError: a file is missing, damaged or of another task.
+        BadInputError: a file is missing, damaged or of another task, or something must be declared.
+    """
+    robot = None if isinstance(arm, str) else arm
+    read = read_files(sources, declared, robot)
+    for each in read:
+        if not each.own:
+            console.note(f"{each.path}: {each.kind}; {'; '.join(each.reasons)}")
+        if len(each.motions) > 1 and declared.cut is None:
+            console.warn(
+                f"{each.path} holds {len(each.motions)} motions, taken as one demonstration; import.cut=true cuts them,"
+                " import.cut=false says that they are one"
+            )
+    return together(read, task, arm if isinstance(arm, str) else arm.name, any_task, bool(declared.cut))
+
+
+def together(read: Sequence[Loaded], task: str, arm: str, any_task: bool, cut: bool) -> Demonstrations:
+    """Return the demonstrations of files that were read, cut into motions if that is wanted.
+
+    Raises:
+        BadInputError: a file is of another task, or files were moved in different ways.
     """
     items: list[Demonstration] = []
     placements: dict[str, Placement | None] = {}
-    for path in files_of(sources):
-        if is_csv(path):
-            items += read_csv(path)
-            placements["none"] = None
-            continue
-        read = read_hdf5(path)
-        if not any_task and read.task != task:
-            raise BadInputError(f"demos {path}: must be of task {task}, found task {read.task}")
-        items += read.items
-        arm = read.arm
-        placements["none" if read.placement is None else str(read.placement)] = read.placement
+    for each in read:
+        if not any_task and each.task not in (None, task):
+            raise BadInputError(f"demos {each.path}: must be of task {task}, found task {each.task}")
+        items += each.parts(cut)
+        arm = each.arm or arm
+        placements["none" if each.placement is None else str(each.placement)] = each.placement
     if len(placements) > 1:
         raise BadInputError(f"demos: all files must have been moved alike, found {' and '.join(sorted(placements))}")
     return Demonstrations(task, arm, items, placement=next(iter(placements.values())))
-
-
-def is_csv(path: Path) -> bool:
-    """Return whether a file of demonstrations is read as CSV, by its ending."""
-    return path.suffix.lower() in _CSV
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

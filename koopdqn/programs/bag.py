@@ -14,13 +14,13 @@ def write_bag(folder: Path, program: Program) -> None:
     """Write a bag folder: ``/joint_trajectory`` once, ``/joint_states`` and ``/tool0_pose`` at every sample.
 
     Raises:
-        BadInputError: the extra ``bags`` is not installed, or there is something at the path.
+        BadInputError: the extra ``ros`` is not installed, or there is something at the path.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise BadInputError("program.formats: mcap needs rosbags: pip install 'koopdqn[bags]'") from error
+        raise BadInputError("program.formats: mcap needs rosbags: pip install 'koopdqn[ros]'") from error
     store = get_typestore(Stores.ROS2_HUMBLE)
 
     def made(kind: str, **fields: Any) -> Any:

@@ -44,4 +44,4 @@ def _seconds(env: Any, reward: Any, steps: int) -> float:
         where = env.step(actions)[4]["pose"]
         times.append((time.perf_counter() - began) / count)
     env.close()
-    return median(times)
+    return float(median(times))

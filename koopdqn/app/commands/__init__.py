@@ -16,7 +16,8 @@ _COMMANDS: Final = {
     "eval": ("eval.run", ("demos", "intent_file")),
     "view": ("view.run", ("intent_file",)),
     "report": ("report.run", ("run", "demos", "intent_file")),
-    "import": ("demonstrations.import_", ("run", "intent_file")),
+    "import": ("importing.import_", ("run", "intent_file")),
+    "inspect": ("inspection.inspect", ("run", "intent_file")),
     "export": ("demonstrations.export", ("intent_file",)),
 }
 """Where each command is, and the inputs of others that would change nothing here."""

@@ -6,8 +6,10 @@ from typing import Any, get_type_hints
 
 from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
+from koopdqn.demonstrations.cleaning import InspectSettings
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
+from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.evaluation.evaluate import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
@@ -67,6 +69,8 @@ class Configuration:
     eval: EvaluationSettings
     view: ViewSettings
     report: ReportSettings
+    import_: ImportSettings
+    inspect: InspectSettings
     export: ExportSettings
     program: ProgramSettings
     derived: Derived | None = None
@@ -91,7 +95,9 @@ class Configuration:
         """
         content = plain(config)
         own, kinds = set(Inputs.model_fields), get_type_hints(cls)
-        sections = {key: kind for key, kind in kinds.items() if key not in ("inputs", "chosen", "derived")}
+        # Python keeps the word import for itself.
+        names = {key.removesuffix("_"): key for key in kinds if key not in ("inputs", "chosen", "derived")}
+        sections = {name: kinds[key] for name, key in names.items()}
         known = own | set(sections) | {"task", "person"}
         for key in content:
             if key not in known:
@@ -102,7 +108,7 @@ class Configuration:
         parts["chosen"] = load_settings(content.get("task"), TaskChoice, "task")
         for key, kind in sections.items():
             node = content.get(key)
-            parts[key] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
+            parts[names[key]] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
         return cls(**parts)
 
     def shaped_by(self) -> dict[str, Any]:

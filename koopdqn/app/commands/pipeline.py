@@ -58,10 +58,10 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
     sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
     if not sources:
         raise BadInputError(
-            f"demos: must name the files that task {recipe.name} is made from (HDF5 or CSV; one, several in brackets,"
-            " or a glob), found none"
+            f"demos: must name the files that task {recipe.name} is made from (one, several in brackets, or a glob)"
+            ", found none"
         )
-    read = read_demonstrations(sources, recipe.name, config.robot.name, any_task=True)
+    read = read_demonstrations(sources, recipe.name, config.robot, any_task=True, declared=config.import_)
     read = replace(read, held_out=recipe.kept_of(len(read)))
     derived = recipe.derive(read)
     if recipe.place == "auto" and read.placement is None:
@@ -171,7 +171,7 @@ def demonstrations_read(config: Configuration, sources: Sequence[str]) -> Demons
     Raises:
         BadInputError: a file is damaged or of another task, or the arm cannot reach all of it.
     """
-    demonstrations = read_demonstrations(sources, config.task.name, config.robot.name)
+    demonstrations = read_demonstrations(sources, config.task.name, config.robot, declared=config.import_)
     _check_reach(config, demonstrations)
     return demonstrations
 

@@ -1,6 +1,5 @@
 """``koopdqn view``: a trained run, or recordings before anything is trained, as a page to look at."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,8 +13,7 @@ from koopdqn.app.hydra.compose import composed
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import read_artifact, reading
 from koopdqn.demonstrations.derivation import Derivation
-from koopdqn.demonstrations.hdf5 import read_hdf5
-from koopdqn.demonstrations.reading import files_of, is_csv, read_demonstrations
+from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.errors import BadInputError
 from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
@@ -101,8 +99,9 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     sources = config.inputs.demos
     if sources is None:
         raise BadInputError("demos: must name the files to show where run= names no run, found none")
-    demonstrations = read_demonstrations(sources, config.chosen.name, config.robot.name, any_task=True)
-    task = _task_of(config, sources)
+    read = read_files(sources, config.import_, config.robot)
+    demonstrations = together(read, config.chosen.name, config.robot.name, any_task=True, cut=bool(config.import_.cut))
+    task = _task_of(config, read[0].task)
     if isinstance(config.chosen, Derivation) and config.chosen.place == "auto":
         moved = pipeline.with_task(config, folder, keep=False)
         demonstrations, task = pipeline.demonstrations_of(moved, folder), moved.task
@@ -127,12 +126,10 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     )
 
 
-def _task_of(config: Configuration, sources: Sequence[str]) -> Task | None:
-    """Return the task that was given, or that the first file says it is of; None where koopdqn does not know it."""
+def _task_of(config: Configuration, name: str | None) -> Task | None:
+    """Return the task that was given, or the one of a name that files say; None where koopdqn does not know it."""
     if isinstance(config.chosen, Task):
         return config.chosen
-    first = files_of(sources)[0]
-    name = "" if is_csv(first) else read_hdf5(first).task
-    if name == config.chosen.name or not (conf_dir() / "task" / f"{name}.yaml").is_file():
+    if name in (None, config.chosen.name) or not (conf_dir() / "task" / f"{name}.yaml").is_file():
         return None
     return Configuration.load(composed([f"task={name}", "out=unused"])).task

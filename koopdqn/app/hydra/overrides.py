@@ -39,6 +39,8 @@ _FILMED: Final = ("eval", "view")
 """Commands whose own key ``video`` needs no prefix."""
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
+_TAKES_FILES: Final = ("import", "inspect")
+"""Commands whose files may stand alone."""
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
 """Inputs that a run keeps a copy of, and its name."""
 _JOURNAL: Final = "feedback.jsonl"
@@ -80,8 +82,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
       alone.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``import``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=`` theirs is the
-      one that demonstrations define.
+    - ``import`` and ``inspect`` also take files alone, without ``demos=``.
+    - ``import``, ``inspect``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=``
+      theirs is the one that demonstrations define.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -93,6 +96,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
             that can be continued.
     """
+    if command in _TAKES_FILES:
+        overrides = _with_files(overrides)
     prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
@@ -103,7 +108,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
     if command == "eval" or (command == "export" and named) or (command == "view" and "demos" not in keys):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
-    if command in ("import", "export", "view") and "task" not in keys:
+    if command in ("import", "inspect", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
     if command not in _CONTINUED or not named:
         return Prepared([*prepared, f"command={command}"])
@@ -127,6 +132,18 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         "hydra.output_subdir=null",
     ]
     return Prepared(merged, continues=True)
+
+
+def _with_files(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides, files that stand alone gathered in ``demos=``."""
+    files = [each for each in overrides if "=" not in each and (not each.startswith("~") or each.startswith("~/"))]
+    files += [each for each in overrides if each not in files and "=" in each and Path(each).exists()]
+    rest = [each for each in overrides if each not in files]
+    if not files:
+        return rest
+    if any(_key(each) == "demos" for each in rest):
+        raise BadInputError(f"demos: must be given by demos= or by files alone, found both: {files[0]}")
+    return [f"demos=[{','.join(_literal(str(Path(each).expanduser())) for each in files)}]", *rest]
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
@@ -218,6 +235,11 @@ def _quoted(value: str) -> str:
         return value
     if _PLAIN_VALUE.fullmatch(value) and not _NUMBER_OR_BOOLEAN.fullmatch(value):
         return value
+    return _literal(value)
+
+
+def _literal(value: str) -> str:
+    """Return a text in quotes of Hydra's grammar."""
     # in Hydra's quotes a backslash is an ordinary character unless it stands before a quote
     escaped = re.sub(r"(\\*)('|$)", lambda m: m[1] * 2 + ("\\'" if m[2] else ""), value)
     return f"'{escaped}'"

@@ -1,0 +1,134 @@
+"""Steps that clean a demonstration, each by its name; nothing but what a step is named for changes."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+
+from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.demonstrations.preprocess import smooth, trim_idle
+from koopdqn.paths import between
+from koopdqn.pose import Array
+from koopdqn.settings import Settings
+
+# A pose that repeats the one before it within this is the same sample [m, rad].
+_SAME: Final = (1e-7, 1e-6)
+# A run of the same pose that lasts longer is a rest, of which both ends stay [s].
+_REST_S: Final = 0.2
+# A sample off the median of the five around it by more than this, and by six times what is usual, is an outlier, if it
+# is also farther from both neighbours than twice what lies between them and three usual steps; at a corner it is not.
+_OUT_M, _OUT_RAD, _USUAL = 0.005, 0.05, 6.0
+
+
+class InspectSettings(Settings):
+    """Which steps clean demonstrations before they are judged; signs of quaternions are always made continuous."""
+
+    repeated: bool = Field(description="leave out samples that repeat the one before")
+    outliers: bool = Field(description="leave out single samples far off their neighbours")
+    idle_ends: bool = Field(description="cut idle ends off")
+    smoothing: bool = Field(description="smooth sensor noise out")
+    resampling: bool = Field(description="even the time steps")
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """A demonstration after the steps.
+
+    Attributes:
+        item: it.
+        repeated: samples left out as repeated. ``outliers``: as outliers.
+        before: idle time cut off at the start [s]. ``after``: at the end.
+    """
+
+    item: Demonstration
+    repeated: int = 0
+    outliers: int = 0
+    before: float = 0.0
+    after: float = 0.0
+
+
+def clean(item: Demonstration, steps: InspectSettings) -> Cleaned:
+    """Return a demonstration after the steps that are switched on.
+
+    Raises:
+        BadInputError: nothing moves, where idle ends are cut off.
+    """
+    repeated = outliers = 0
+    before = after = 0.0
+    if steps.repeated:
+        kept = ~repeats(item)
+        item, repeated = _rows(item, kept), int((~kept).sum())
+    if steps.outliers:
+        kept = ~outlying(item)
+        item, outliers = _rows(item, kept), int((~kept).sum())
+    if steps.idle_ends:
+        trimmed = trim_idle(item)
+        item, before, after = trimmed.item, trimmed.before, trimmed.after
+    if steps.smoothing:
+        item = smooth(item)
+    if steps.resampling:
+        item = evened(item)
+    return Cleaned(item, repeated, outliers, before, after)
+
+
+def repeats(item: Demonstration) -> np.ndarray:
+    """Return which samples (N,) repeat the one before while the clock runs; both ends of a rest stay."""
+    poses = item.poses
+    same = pose.position_distance(poses[1:], poses[:-1]) <= _SAME[0]
+    same = np.concatenate([[False], same & (pose.rotation_distance(poses[1:], poses[:-1]) <= _SAME[1])])
+    begins = np.flatnonzero(~same)
+    ends = np.append(begins[1:], len(poses)) - 1
+    long = item.times[ends] - item.times[begins] > _REST_S
+    same[ends[long]] = False
+    return np.asarray(same)
+
+
+def outlying(item: Demonstration) -> np.ndarray:
+    """Return which samples (N,) are far off the median of the five around them, in position or orientation."""
+    if len(item) < 7:
+        return np.zeros(len(item), dtype=bool)
+    off = np.linalg.norm(_residual(item.poses[:, pose.POSITION]), axis=1)
+    turned = 2.0 * np.linalg.norm(_residual(item.poses[:, pose.QUATERNION]), axis=1)
+    found = [
+        values > max(least, _USUAL * 1.4826 * float(np.median(values)))
+        for values, least in ((off, _OUT_M), (turned, _OUT_RAD))
+    ]
+    alone = [_alone(item.poses[:, part]) for part in (pose.POSITION, pose.QUATERNION)]
+    return np.asarray((found[0] & alone[0]) | (found[1] & alone[1]))
+
+
+def _alone(values: Array) -> np.ndarray:
+    """Return which rows (N,) are far from both neighbours, which are near each other; an end has one neighbour."""
+    step = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    across = np.linalg.norm(values[2:] - values[:-2], axis=1)
+    usual = 3.0 * float(np.median(step))
+    alone = np.minimum(step[:-1], step[1:]) > np.maximum(2.0 * across, usual)
+    ends = [step[row] > max(2.0 * step[beside], usual) for row, beside in ((0, 1), (-1, -2))]
+    return np.concatenate([ends[:1], alone, ends[1:]])
+
+
+def _residual(values: Array) -> Array:
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, ((2, 2), (0, 0)), mode="edge"), 5, axis=0)
+    return np.asarray(values - np.median(windows, axis=-1))
+
+
+def _rows(item: Demonstration, kept: np.ndarray) -> Demonstration:
+    if kept.all() or kept.sum() < 2:
+        return item
+    return Demonstration(item.times[kept], item.poses[kept], None if item.joints is None else item.joints[kept])
+
+
+def evened(item: Demonstration) -> Demonstration:
+    """Return a demonstration sampled evenly at its own median rate, without joint angles; ends stay."""
+    span = float(item.times[-1] - item.times[0])
+    count = max(2, round(span / float(np.median(np.diff(item.times)))) + 1)
+    times = np.linspace(item.times[0], item.times[-1], count)
+    before = np.clip(np.searchsorted(item.times, times, side="right") - 1, 0, len(item) - 2)
+    share = (times - item.times[before]) / (item.times[before + 1] - item.times[before])
+    return Demonstration(times, between(item.poses[before], item.poses[before + 1], np.clip(share, 0.0, 1.0)))
+
+
+STEPS: Final[tuple[str, ...]] = tuple(InspectSettings.model_fields)
+"""The names of the steps, in their order."""

@@ -1,0 +1,241 @@
+"""What demonstrations are good for: on this arm, beside one another, and for learning."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.demonstrations.cleaning import Cleaned
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.demonstrations.preprocess import noise_of
+from koopdqn.demonstrations.schema import Finding, InspectedDemonstration, Pair
+from koopdqn.paths import arc_lengths, mean_poses, to_count
+from koopdqn.pose import POSITION, Array
+from koopdqn.robot.arm import Arm
+
+# Of so many poses of a demonstration it is tried whether the arm can follow them.
+_TRIED: Final = 200
+# A joint that would turn more from one to the next changes the posture [rad].
+_JUMP: Final = 0.7
+_SMALL_ANGLE: Final = 1e-6
+# Below this least singular value an arm's joints race for a slow motion of the tool.
+_SINGULAR: Final = 0.03
+# A motion all of which lies nearer to the base, or farther, is told in another unit or frame [m].
+_CLOSE_M, _FAR_M = 0.1, 2.0
+_PLACES: Final = 51
+_SAME_MM: Final = 0.1
+_ODD: Final = 3.0
+_GAP: Final = 10.0
+# One more demonstration tells little if it brings the one left out nearer by less than this share.
+_LITTLE: Final = 0.1
+_FINE_MM: Final = 5.0
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How an arm follows a demonstration.
+
+    Attributes:
+        share: of its way.
+        why: why no further.
+        singular: least singular value of the Jacobian; None if nothing was followed. ``speed``: the largest joint
+            speed, in shares of its limit.
+    """
+
+    share: float
+    why: str
+    singular: float | None
+    speed: float | None
+
+
+def follow(item: Demonstration, arm: Arm) -> Followed:
+    """Return how the arm follows a demonstration, in whichever posture it comes farthest and then slowest."""
+    rows = np.unique(np.linspace(0, len(item) - 1, _TRIED).astype(int))
+    times, poses = item.times[rows], item.poses[rows]
+    starts = arm.solutions(poses[0])
+    if not len(starts):
+        return Followed(0.0, arm.inverse(poses[0], np.array(arm.home)).reason, None, None)
+    tries = [_from(start, times, poses, arm) for start in starts]
+    return max(tries, key=lambda each: (each.share, -(each.speed or 0.0)))
+
+
+def _from(start: Array, times: Array, poses: Array, arm: Arm) -> Followed:
+    joints, why = [start], ""
+    for row in range(1, len(poses)):
+        result = arm.inverse(poses[row], joints[-1])
+        step = np.abs(result.joints - joints[-1])
+        if not result.success or step.max() > _JUMP:
+            why = result.reason or f"{arm.joint_names[int(step.argmax())]} would jump by {step.max():.2f} rad"
+            break
+        joints.append(result.joints)
+    way = np.array(joints)
+    speeds = np.abs(np.diff(way, axis=0)) / np.diff(times[: len(way)])[:, None] / np.array(arm.velocity_limits)
+    return Followed((len(way) - 1) / (len(poses) - 1), why, _least_singular(way, arm), float(speeds.max(initial=0.0)))
+
+
+def _least_singular(joints: Array, arm: Arm) -> float:
+    """Return the least singular value of the Jacobians (6 × joints; m and rad) at joint angles (N, joints)."""
+    here = arm.forward(joints)
+    columns = []
+    for index in range(joints.shape[1]):
+        there = arm.forward(joints + _SMALL_ANGLE * np.eye(joints.shape[1])[index])
+        turn = pose.to_rotation_vector(pose.multiply(there[:, 3:], pose.conjugate(here[:, 3:])))
+        columns.append(np.hstack([there[:, POSITION] - here[:, POSITION], turn]) / _SMALL_ANGLE)
+    return float(np.linalg.svd(np.stack(columns, axis=2), compute_uv=False)[:, -1].min())
+
+
+def describe(raw: Demonstration, cleaned: Cleaned, arm: Arm, deviation_mm: float | None) -> InspectedDemonstration:
+    """Return what is found of one demonstration, given as recorded and cleaned."""
+    item, followed = cleaned.item, follow(cleaned.item, arm)
+    steps = np.diff(raw.times)
+    noise_m, noise_rad = noise_of(raw)
+    return InspectedDemonstration(
+        samples=len(raw),
+        kept=len(item),
+        seconds=float(raw.times[-1] - raw.times[0]),
+        nearest_m=float(np.linalg.norm(item.poses[:, POSITION], axis=1).min()),
+        farthest_m=float(np.linalg.norm(item.poses[:, POSITION], axis=1).max()),
+        length_m=float(arc_lengths(item.poses[:, POSITION])[-1]),
+        turn_deg=float(np.degrees(pose.rotation_distance(item.poses[0], item.poses[-1]))),
+        idle_before_seconds=cleaned.before,
+        idle_after_seconds=cleaned.after,
+        repeated=cleaned.repeated,
+        outliers=cleaned.outliers,
+        noise_mm=1e3 * noise_m,
+        noise_deg=float(np.degrees(noise_rad)),
+        largest_gap=float(steps.max() / np.median(steps)),
+        reached=followed.share,
+        stopped=followed.why,
+        singular=followed.singular,
+        joint_speed=followed.speed,
+        deviation_mm=deviation_mm,
+    )
+
+
+@dataclass(frozen=True)
+class Together:
+    """What demonstrations are beside one another; lists are empty for a single one.
+
+    Attributes:
+        deviation_mm: of each from the mean of the others.
+        duplicates: pairs that are the same. ``odd``: those far off all others.
+        spread_mm: RMS distance from the mean at 0, 25, 50, 75 and 100 % of the path.
+        left_out_mm: mean distance of one left out from the mean of 1, 2, … others.
+    """
+
+    deviation_mm: list[float]
+    duplicates: list[Pair]
+    odd: list[int]
+    spread_mm: list[float]
+    left_out_mm: list[float]
+
+    @property
+    def enough(self) -> bool:
+        """Whether one more would hardly tell more."""
+        if len(self.left_out_mm) < 2:
+            return bool(self.left_out_mm) and self.left_out_mm[-1] < _FINE_MM
+        last, before = self.left_out_mm[-1], self.left_out_mm[-2]
+        return last < _FINE_MM or before - last < _LITTLE * last
+
+
+def compare(items: Sequence[Demonstration]) -> Together:
+    """Return what demonstrations are beside one another, matched by their share of path."""
+    if len(items) < 2:
+        return Together([], [], [], [], [])
+    paths = np.array([1e3 * to_count(item.poses, _PLACES)[:, POSITION] for item in items])
+    count = len(paths)
+    pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
+    same = [Pair(first=i, second=j) for i, j in pairs if _apart(paths[i], paths[j]) < _SAME_MM]
+    curve, deviation = [], np.zeros(count)
+    for others in range(1, count):
+        # Of so many others those that follow in the order: each demonstration is left out once, each used as often.
+        chosen = [[(index + shift) % count for shift in range(1, others + 1)] for index in range(count)]
+        deviation = np.array([_apart(paths[index], paths[rows].mean(axis=0)) for index, rows in enumerate(chosen)])
+        curve.append(float(deviation.mean()))
+    rest = [float(np.median(np.delete(deviation, index))) for index in range(count)]
+    odd = [i for i in range(count) if count > 3 and deviation[i] > max(_ODD * rest[i], _FINE_MM)]
+    mean = 1e3 * mean_poses([item.poses for item in items], _PLACES)[:, POSITION]
+    spread = np.sqrt(((paths - mean) ** 2).sum(axis=2).mean(axis=0))
+    places = np.linspace(0, _PLACES - 1, 5).astype(int)
+    return Together(deviation.tolist(), same, odd, spread[places].tolist(), curve)
+
+
+def _apart(a: Array, b: Array) -> float:
+    return float(np.linalg.norm(a - b, axis=1).mean())
+
+
+def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str) -> list[Finding]:
+    """Return the lines of the table."""
+    found = [_frame(each), _time(each), _samples(each), _reach(each, arm)]
+    followed = [one for one in each if one.singular is not None and one.joint_speed is not None]
+    if followed:
+        least = min(one.singular or 0.0 for one in followed)
+        near = least < _SINGULAR
+        text = f"least singular value {least:.3f} (m, rad)" + (f", below {_SINGULAR}: joints will race" if near else "")
+        found.append(_finding("singularities", "look" if near else "good", text))
+        speed = max(one.joint_speed or 0.0 for one in followed)
+        over = " of the limit; the arm will take longer" if speed > 1.0 else " of the limit"
+        found.append(_finding("joint speed", "look" if speed > 1.0 else "good", f"at most {100 * speed:.0f} %{over}"))
+    if beside.duplicates:
+        pairs = ", ".join(f"{pair.first} and {pair.second}" for pair in beside.duplicates)
+        found.append(_finding("duplicates", "bad", f"{pairs} are the same: count them once"))
+    elif len(each) > 1:
+        found.append(_finding("duplicates", "good", "none"))
+    if len(each) > 3:
+        text = f"{', '.join(map(str, beside.odd))}: more than three times as far off as the others"
+        found.append(_finding("odd one out", "look" if beside.odd else "good", text if beside.odd else "none"))
+    if beside.spread_mm:
+        text = " ".join(f"{value:.0f}" for value in beside.spread_mm) + " mm at 0, 25, 50, 75 and 100 % of the path"
+        found.append(_finding("spread", "good", text))
+    found.append(_enough(beside))
+    return found
+
+
+def _finding(name: str, state: str, text: str) -> Finding:
+    return Finding.model_validate({"name": name, "state": state, "text": text})
+
+
+def _frame(each: Sequence[InspectedDemonstration]) -> Finding:
+    nearest, farthest = min(one.nearest_m for one in each), max(one.farthest_m for one in each)
+    odd = farthest < _CLOSE_M or nearest > _FAR_M
+    text = f"{nearest:.2f} to {farthest:.2f} m from the arm's base"
+    hint = ", as if in another unit (import.units) or frame (import.base)"
+    return _finding("units and frame", "look" if odd else "good", text + (hint if odd else ""))
+
+
+def _time(each: Sequence[InspectedDemonstration]) -> Finding:
+    gap = max(one.largest_gap for one in each)
+    idle = sum(one.idle_before_seconds + one.idle_after_seconds for one in each)
+    text = f"longest step {gap:.1f} times the usual one; {idle:.1f} s idle at the ends"
+    return _finding("time", "look" if gap > _GAP else "good", text)
+
+
+def _samples(each: Sequence[InspectedDemonstration]) -> Finding:
+    repeated, out = sum(one.repeated for one in each), sum(one.outliers for one in each)
+    noise = max(one.noise_mm for one in each)
+    text = f"{repeated} of {sum(one.samples for one in each)} repeated, {out} outliers, noise {noise:.2f} mm"
+    return _finding("samples", "look" if out else "good", text)
+
+
+def _reach(each: Sequence[InspectedDemonstration], arm: str) -> Finding:
+    lost = [index for index, one in enumerate(each) if one.reached < 1.0]
+    if not lost:
+        return _finding("reach", "good", f"{arm} can follow all of them")
+    first = each[lost[0]]
+    text = (
+        f"{arm} cannot follow {len(lost)} of {len(each)}; {lost[0]} ends after {100 * first.reached:.0f} %:"
+        f" {first.stopped}; demos.place=auto moves all of them to where it can"
+    )
+    return _finding("reach", "bad", text)
+
+
+def _enough(beside: Together) -> Finding:
+    if not beside.left_out_mm:
+        return _finding("enough", "look", "one alone: its path is learned, how people vary is not; show three more")
+    last = beside.left_out_mm[-1]
+    text = f"one left out is {last:.1f} mm from the others' mean"
+    if beside.enough:
+        return _finding("enough", "good", f"{text}, and another would hardly change that")
+    return _finding("enough", "look", f"{text}; each one more still brings that down: show more")

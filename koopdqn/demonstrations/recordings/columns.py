@@ -1,0 +1,143 @@
+"""Tables to recordings: the columns that names show, or that numbers without names show by what they are."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from koopdqn.demonstrations.recordings.declared import ImportSettings
+from koopdqn.demonstrations.recordings.layout import layout_of
+from koopdqn.demonstrations.recordings.poses import PoseColumns
+from koopdqn.demonstrations.recordings.recording import Columns, Recording
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+
+# Four numbers that have length 1 within this in every row are a quaternion.
+_UNIT_LENGTH: Final = 0.01
+_POSE: Final = ("x", "y", "z", "q0", "q1", "q2", "q3")
+
+
+def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording | None = None) -> list[Recording]:
+    """Return the recordings of a table, one for each text of its column of demonstrations.
+
+    Args:
+        columns: the table.
+        declared: what is declared.
+        stated: what the file's format states of units, order and rate; the columns' own names come first.
+
+    Raises:
+        BadInputError: the columns are not recognised, or a cell is no number.
+    """
+    layout = layout_of(columns.where, columns.names, declared)
+    stated = stated or Recording(columns.where)
+    found = replace(stated, where=columns.where, rows=columns.lines, reasons=(*stated.reasons, *layout.reasons))
+    pose = layout.pose
+    parts = (*layout.time, *layout.joints, *layout.tool, *((*pose.position, *pose.turn) if pose else ()))
+    needed = tuple(dict.fromkeys(parts))
+    # All at once: to read text takes longer than what follows.
+    numbers = columns.numbers(needed)
+
+    def taken(places: tuple[int, ...]) -> Array:
+        return numbers[:, [needed.index(place) for place in places]]
+
+    if pose is not None:
+        found = _with_pose(pose, taken, found)
+    if layout.joints:
+        found = replace(found, joints=taken(layout.joints))
+        if layout.pose is None:
+            found = replace(found, angles=layout.joint_angles or found.angles)
+    if layout.time:
+        ticks = taken(layout.time)
+        # Seconds and nanoseconds in two columns.
+        times = ticks[:, 0] + 1e-9 * ticks[:, 1] if ticks.shape[1] == 2 else ticks[:, 0]
+        found = replace(found, times=times, clock=layout.clock or found.clock)
+    if layout.tool:
+        found = replace(found, tool=_tool(taken(layout.tool)))
+    if layout.demo is None:
+        return [found]
+    return _apart(found, columns.texts(layout.demo))
+
+
+def _with_pose(pose: PoseColumns, taken: Callable[[tuple[int, ...]], Array], found: Recording) -> Recording:
+    found = replace(found, units=pose.units or found.units)
+    if pose.rotation == "transform":
+        return replace(found, rotation="transform", turn=taken(pose.turn))
+    return replace(
+        found,
+        position=taken(pose.position),
+        turn=taken(pose.turn) if pose.turn else None,
+        rotation=pose.rotation,
+        order=pose.order or found.order,
+        angles=pose.angles or found.angles,
+    )
+
+
+def _tool(values: Array) -> Array | None:
+    from koopdqn import pose
+
+    if np.ptp(values, axis=0).max() > 0:
+        return None
+    return pose.make(values[0, :3], pose.from_rotation_vector(values[0, 3:]))
+
+
+def _apart(whole: Recording, texts: Sequence[str]) -> list[Recording]:
+    names, label = np.unique(np.array(texts), return_inverse=True)
+    first = [int(np.flatnonzero(label == index)[0]) for index in range(len(names))]
+    return [part_of(whole, np.flatnonzero(label == index), f"demo {names[index]}") for index in np.argsort(first)]
+
+
+def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
+    """Return some rows of a recording as one of their own."""
+    lines = rows if whole.rows is None else whole.rows[rows]
+    return replace(
+        whole,
+        where=f"{whole.where}: {name}",
+        rows=lines,
+        position=_taken(whole.position, rows),
+        turn=_taken(whole.turn, rows),
+        joints=_taken(whole.joints, rows),
+        times=_taken(whole.times, rows),
+    )
+
+
+def _taken(values: Array | None, rows: np.ndarray) -> Array | None:
+    return None if values is None else values[rows]
+
+
+def unnamed(where: str, values: Array, declared: ImportSettings) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return names for columns (N, k) that have none, by what their numbers are, and why.
+
+    A quaternion shows by its length of 1, a time by its growth; one or two poses a row, behind a time or not, are
+    recognised. Everything else must be declared.
+
+    Raises:
+        BadInputError: they are nothing that can be recognised.
+    """
+    count = values.shape[1]
+    if declared.columns is not None:
+        return tuple(str(index) for index in range(count)), ()
+    if count == 16:
+        return tuple(f"matrix_{index}" for index in range(16)), ("sixteen numbers a row: a 4×4 matrix",)
+    timed = count % 7 == 1 and count > 7 and bool(np.all(np.diff(values[:, 0]) >= 0) and np.ptp(values[:, 0]) > 0)
+    names: list[str] = ["t"] if timed else []
+    reasons = ["first column grows: time"] if timed else []
+    while count - len(names) >= 7:
+        begin, which = len(names), (len(names) - timed) // 7
+        last, first = (_is_unit(values[:, begin + a : begin + a + 4]) for a in (3, 0))
+        if last == first:
+            break
+        part = _POSE if last else (*_POSE[3:], *_POSE[:3])
+        names += [f"pose{which + 1}_position_{n}" if n in "xyz" else f"pose{which + 1}_quat_{n[1]}" for n in part]
+        which_four = "last" if last else "first"
+        reasons.append(f"columns {begin} to {begin + 6}: a pose, as the {which_four} four have length 1: a quaternion")
+    if not names or len(names) != count:
+        raise BadInputError(
+            f"import.columns: must name the {count} columns of {where}, which has no header, in their order,"
+            " such as [t,x,y,z,qx,qy,qz,qw] (_ leaves one out)"
+        )
+    return tuple(names), tuple(reasons)
+
+
+def _is_unit(values: Array) -> bool:
+    return bool(np.all(np.abs(np.linalg.norm(values, axis=1) - 1.0) < _UNIT_LENGTH))

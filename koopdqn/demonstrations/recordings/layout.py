@@ -1,0 +1,213 @@
+"""What each column of a table is, by the columns' names and by what is declared."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from koopdqn.demonstrations.recordings.declared import Angles, Clock, ImportSettings
+from koopdqn.demonstrations.recordings.names import (
+    ANGLES,
+    AXES,
+    QUATERNION,
+    VECTOR,
+    Name,
+    angle_unit,
+    clock_unit,
+    parsed,
+)
+from koopdqn.demonstrations.recordings.poses import JOINT_WORDS, OTHER, PoseColumns, numbered, poses_of
+from koopdqn.errors import BadInputError
+
+_COMMANDED: Final = ("target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "setpoint")
+_MEASURED: Final = ("actual", "measured", "current", "observed", "real")
+_TIMES: Final = ("t", "time", "timestamp", "stamp", "elapsed", "clock", "timestep", "seconds", "secs")
+_DEMOS: Final = ("demo", "demonstration", "episode", "trajectory", "traj", "trial")
+_UNNAMED: Final = ""
+# What the pose is called whose columns have no prefix.
+_FIRST: Final = "1"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the columns of a table are, by their places.
+
+    Attributes:
+        pose: the pose's columns; None where there are joints alone.
+        time: one column, or two of seconds and nanoseconds; none if empty.
+        clock: the unit of time, None where the names do not say.
+        demo: the column that tells demonstrations apart, or None.
+        joints: the joints' columns, base first.
+        tool: six columns of the tool's pose in the flange; none if empty.
+        reasons: why, a line each.
+    """
+
+    pose: PoseColumns | None
+    time: tuple[int, ...] = ()
+    clock: Clock | None = None
+    demo: int | None = None
+    joints: tuple[int, ...] = ()
+    joint_angles: Angles | None = None
+    tool: tuple[int, ...] = ()
+    reasons: tuple[str, ...] = ()
+
+
+def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Layout:
+    """Return what columns are.
+
+    Args:
+        where: file, for messages.
+        names: of the columns, in their order.
+        declared: roles given by name or order, and which pose is meant.
+
+    Raises:
+        BadInputError: there is no pose and no joints, or several poses and none is chosen.
+    """
+    if isinstance(declared.columns, tuple):
+        if len(declared.columns) != len(names):
+            raise BadInputError(
+                f"import.columns: must name each of the {len(names)} columns of {where}, found {len(declared.columns)}"
+            )
+        # The roles are names that are recognised as they stand.
+        plain, names = declared.model_copy(update={"columns": None}), list(declared.columns)
+        return layout_of(where, names, plain)
+    if declared.columns:
+        names = _renamed(where, names, declared.columns)
+    known = [parsed(name) for name in _without_twins(names)]
+    time, clock, why_time = _time_of(names, known)
+    demo = next((i for i, name in enumerate(names) if _is_demo(known[i])), None)
+    joints = _joints_of(known)
+    tool = next((tuple(g.values()) for w, g in numbered(known) if w[-2:] == ("tcp", "offset") and len(g) == 6), ())
+    poses = poses_of(known)
+    pose, why_pose = _chosen(where, poses, declared)
+    if pose is None and not joints:
+        found = ", ".join(names[:20]) + (" …" if len(names) > 20 else "")
+        raise BadInputError(
+            f"demos {where}: must have columns of a pose, found none recognised among {found};"
+            " import.columns={x: NAME, …} says which they are, import.columns=[x,y,…] in their order"
+        )
+    reasons = list(why_pose)
+    if pose is not None:
+        reasons.append(f"position from {_listed(names, pose.position)}")
+        if pose.turn:
+            reasons.append(f"orientation from {_listed(names, pose.turn)}")
+    elif joints:
+        reasons.append(f"joints from {_listed(names, joints)}")
+    reasons += why_time + ([f"demonstrations by column {names[demo]}"] if demo is not None else [])
+    return Layout(pose, time, clock, demo, joints, angle_unit([known[i] for i in joints]), tool, tuple(reasons))
+
+
+def _renamed(where: str, names: Sequence[str], roles: dict[str, str]) -> list[str]:
+    """Return the names, those of declared columns being their roles; what bore a role's name by chance is put aside."""
+    folded = [name.strip().lower() for name in names]
+    result = ["_" if name in roles else names[index] for index, name in enumerate(folded)]
+    if {"x", "y", "z"} & set(roles):
+        # A declared pose is the only one.
+        result = ["_" if _is_pose_part(parsed(name)) else name for name in result]
+    for role, name in roles.items():
+        key = name.strip().lower()
+        place = folded.index(key) if key in folded else int(key) if key.isdecimal() else -1
+        if not 0 <= place < len(names):
+            raise BadInputError(f"import.columns: {role} must name a column of {where}, found {name!r}")
+        result[place] = role
+    return result
+
+
+def _is_pose_part(name: Name) -> bool:
+    return name.leaf in (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES) or name.leaf.isdecimal()
+
+
+def _without_twins(names: Sequence[str]) -> Iterator[str]:
+    """Yield the names; the second of one name gets a number, as two poses of a row have it."""
+    seen: dict[str, int] = {}
+    for name in names:
+        count = seen[name] = seen.get(name, 0) + 1
+        yield name if count == 1 or name == _UNNAMED else f"{count}.{name}"
+
+
+def _whole(name: Name) -> str:
+    return "_".join((*name.words, name.leaf))
+
+
+def _is_demo(name: Name) -> bool:
+    whole = _whole(name)
+    return any(whole in (word, f"{word}_index", f"{word}_id") for word in _DEMOS)
+
+
+def _listed(names: Sequence[str], places: Iterable[int]) -> str:
+    shown = [names[place] for place in places]
+    return f"{shown[0]} … {shown[-1]}" if len(shown) > 4 else " ".join(shown)
+
+
+def _time_of(names: Sequence[str], known: Sequence[Name]) -> tuple[tuple[int, ...], Clock | None, list[str]]:
+    """Return the places of the time, its unit and why."""
+    for place, name in enumerate(known):
+        if name.leaf in ("secs", "sec") and "stamp" in name.words:
+            wanted = (name.words, ("nsecs", "nanosec", "nsec"))
+            parts = [i for i, each in enumerate(known) if each.words == wanted[0] and each.leaf in wanted[1]]
+            if parts:
+                return (place, parts[0]), "s", [f"time from {_listed(names, (place, parts[0]))}"]
+    # What a message was stamped with is nearer to the motion than when it was written down.
+    found = [i for i, name in enumerate(known) if name.leaf in _TIMES and not set(name.words) & OTHER]
+    found.sort(key=lambda i: (known[i].leaf != "stamp", len(known[i].words), _TIMES.index(known[i].leaf)))
+    if not found:
+        return (), None, []
+    echoed = any(name.words[:1] == ("field",) for name in known)
+    clock = clock_unit(known[found[0]]) or ("ns" if echoed else None)
+    why = f"time from {names[found[0]].strip()}" + (", in ns as rostopic echo -p writes it" if echoed else "")
+    return (found[0],), clock, [why]
+
+
+def _joints_of(known: Sequence[Name]) -> tuple[int, ...]:
+    """Return the places of the joints, of the measured ones where there are several sets."""
+    sets = []
+    for words, group in numbered(known):
+        motor = "current" in words and words[0] != "current"
+        if set(words) & JOINT_WORDS and not set(words) & OTHER and not motor and len(group) in (6, 7):
+            sets.append((bool(set(words).intersection(_COMMANDED)), tuple(group.values())))
+    return min(sets, default=(False, ()))[1]
+
+
+def _chosen(
+    where: str, poses: Sequence[PoseColumns], declared: ImportSettings
+) -> tuple[PoseColumns | None, tuple[str, ...]]:
+    """Return the pose that is meant, and why it and no other."""
+    if declared.pose is not None and poses:
+        if declared.pose == _FIRST and any(not each.name for each in poses):
+            return next(each for each in poses if not each.name), (f"pose {_FIRST}, as declared",)
+        asked = [word for word in parsed(declared.pose + "_x").words if word]
+        named = [each for each in poses if set(asked) <= each.words] or [
+            each for each in poses if declared.pose.lower() in each.name
+        ]
+        exact = [each for each in named if each.name == " ".join(asked)]
+        if len(exact or named) != 1:
+            raise BadInputError(
+                f"import.pose: must name one pose of {where}, found {len(named)} for {declared.pose!r};"
+                f" valid: {_names(poses)}"
+            )
+        return (exact or named)[0], (f"pose {declared.pose}, as declared",)
+    left = [each for each in poses if each.turn] or list(poses)
+    reason: tuple[str, ...] = ()
+    if len(left) > 1:
+        rest = [each for each in left if not _is_commanded(each.words)]
+        measured = [each for each in rest if each.words.intersection(_MEASURED)]
+        kept = measured if len(measured) == 1 else rest
+        if len(kept) == 1:
+            others = ", ".join(_shown(each) for each in left if each is not kept[0])
+            reason = (f"pose {_shown(kept[0])}: measured, where {others} is not",)
+            left = kept
+    if len(left) > 1:
+        raise BadInputError(f"import.pose: must name which pose of {where} to read; valid: {_names(left)}")
+    return (left[0] if left else None), reason
+
+
+def _is_commanded(words: frozenset[str]) -> bool:
+    # Franka writes the commanded and the desired pose as O_T_EE_c and O_T_EE_d.
+    return bool(words.intersection(_COMMANDED)) or bool({"t", "ee"} <= words and words & {"c", "d"})
+
+
+def _shown(each: PoseColumns) -> str:
+    return each.name.replace(" ", "_") or _FIRST
+
+
+def _names(poses: Sequence[PoseColumns]) -> str:
+    return ", ".join(_shown(each) for each in poses)

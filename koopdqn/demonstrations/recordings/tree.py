@@ -1,0 +1,132 @@
+"""Named arrays, nested as files nest them, to tables: what belongs together is one table."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from koopdqn.demonstrations.recordings.columns import recordings_of, unnamed
+from koopdqn.demonstrations.recordings.declared import ImportSettings
+from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+
+Tree: TypeAlias = Mapping[str, Any]
+"""Arrays, and trees of them, by name."""
+
+LARGEST_BYTES: Final = 1 << 30
+"""The most that is read from one file."""
+# A table of poses has no more columns than an array may have to be one.
+_WIDEST: Final = 64
+_ASIDE: Final = ("next_obs", "actions", "rewards", "dones", "states", "mask")
+
+
+def check_size(where: object, size: int) -> None:
+    """Raise BadInputError if the arrays of a file take more bytes than are read."""
+    if size > LARGEST_BYTES:
+        raise BadInputError(
+            f"demos {where}: must hold at most {LARGEST_BYTES >> 20} MiB of numbers, found {size >> 20} MiB"
+        )
+
+
+def recordings_of_tree(where: str, tree: Tree, declared: ImportSettings, stated: Recording) -> list[Recording]:
+    """Return the recordings in nested arrays.
+
+    Groups and arrays whose names differ in a number alone are demonstrations; what stands beside one another in one
+    group and is equally long is one table.
+
+    Raises:
+        BadInputError: there is no table, or one's columns are not recognised.
+    """
+    found = []
+    for name, table in _tables(tree):
+        found += _recordings_of_table(f"{where}: {name}" if name else where, table, declared, stated)
+    if not found:
+        raise BadInputError(f"demos {where}: must hold arrays of poses or joints, found none with rows of numbers")
+    return found
+
+
+def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array]]]:
+    kept = {name: value for name, value in tree.items() if name not in _ASIDE and not name.startswith("__")}
+    series = _series(kept)
+    if series:
+        for name in series:
+            value = kept[name]
+            if isinstance(value, Mapping):
+                yield from _tables(value, f"{prefix}{name}/")
+            else:
+                yield prefix + name, {"": _upright(value)}
+        return
+    groups = [name for name, value in kept.items() if isinstance(value, Mapping)]
+    if (len(groups) == 1 and len(kept) == 1) or any(_series(kept[name]) for name in groups):
+        for name in groups:
+            yield from _tables(kept[name], f"{prefix}{name}/")
+        return
+    flat = dict(_flat(kept))
+    stacks = [name for name, value in flat.items() if value.ndim == 3 and value.shape[1:] not in ((4, 4), (3, 3))]
+    if stacks and not any(value.ndim == 2 and value.shape[1] in (3, 4, 7) for value in flat.values()):
+        for index in range(len(flat[stacks[0]])):
+            yield (
+                f"{prefix}{stacks[0]}[{index}]",
+                {name: value[index] for name, value in flat.items() if len(value) == len(flat[stacks[0]])},
+            )
+        return
+    lengths = Counter(len(value) for value in flat.values() if len(value) > 1)
+    if lengths:
+        longest = max(lengths, key=lambda each: (lengths[each], each))
+        yield prefix.rstrip("/"), {name: value for name, value in flat.items() if len(value) == longest}
+
+
+def _series(tree: Tree) -> list[str]:
+    """Return, in natural order, the names that differ in a number alone and stand for groups or tables."""
+    numbered: dict[str, list[tuple[int, str]]] = {}
+    for name, value in tree.items():
+        found = re.fullmatch(r"(.*?)_?(\d+)", name)
+        if found and (isinstance(value, Mapping) or (value.ndim in (2, 3) and min(value.shape[:2]) > 4)):
+            numbered.setdefault(found[1], []).append((int(found[2]), name))
+    longest: list[tuple[int, str]] = max(numbered.values(), key=len, default=[])
+    return [name for _, name in sorted(longest)] if longest else []
+
+
+def _flat(tree: Tree, prefix: str = "") -> Iterator[tuple[str, Array]]:
+    for name, value in tree.items():
+        if name in _ASIDE:
+            continue
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        elif value.dtype.kind in "fiu" and value.ndim in (1, 2, 3) and value.size:
+            yield prefix + name, _upright(value)
+
+
+def _upright(value: Array) -> Array:
+    """Return an array whose rows are samples: MATLAB often has a column a sample, and 4×4×N for matrices."""
+    if value.ndim == 3 and value.shape[:2] in ((4, 4), (3, 3)) and value.shape[2] not in (3, 4):
+        return value.transpose(2, 0, 1)
+    if value.ndim == 2 and value.shape[0] == 1:
+        return np.asarray(value[0])
+    if value.ndim == 2 and value.shape[0] <= 16 and value.shape[1] > 4 * value.shape[0]:
+        return value.T
+    return value
+
+
+def _recordings_of_table(
+    where: str, table: dict[str, Array], declared: ImportSettings, stated: Recording
+) -> list[Recording]:
+    names: list[str] = []
+    parts: list[Array] = []
+    for name, value in table.items():
+        rows = value.reshape(len(value), -1).astype(float)
+        if rows.shape[1] <= _WIDEST:
+            names += [name] if value.ndim == 1 else [f"{name}[{index}]" for index in range(rows.shape[1])]
+            parts.append(rows)
+    if not parts:
+        raise BadInputError(f"demos {where}: must hold arrays of poses or joints, found none")
+    values, reasons = np.hstack(parts), stated.reasons
+    if len(parts) == 1 and parts[0].shape[1] > 1:
+        # One array: what its columns are is not in its name.
+        own, why = unnamed(where, values, declared)
+        names, reasons = list(own), (*reasons, *why)
+    return recordings_of(ArrayColumns(where, tuple(names), values), declared, replace(stated, reasons=reasons))

@@ -1,0 +1,174 @@
+"""The doctor for demonstrations: each step does what its name says, each fault is found, the source stays."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_shown import arc, recorded
+from parts import load_parts
+
+from koopdqn import pose
+from koopdqn.app import cli
+from koopdqn.demonstrations.cleaning import STEPS, InspectSettings, clean, evened, outlying, repeats
+from koopdqn.demonstrations.csv import write_csv
+from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.demonstrations.inspection import compare, follow
+from koopdqn.demonstrations.schema import InspectionFile
+from koopdqn.robot.arm import Arm
+
+
+def steps(**on: bool) -> InspectSettings:
+    """Return settings in which only the named steps are on."""
+    return InspectSettings.model_validate({**dict.fromkeys(STEPS, False), **on})
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return load_parts().arm
+
+
+def test_no_step_changes_nothing() -> None:
+    item = recorded(arc(), idle=20, noise=0.001)
+    assert clean(item, steps()).item is item
+
+
+def test_a_clean_recording_passes_every_sieve() -> None:
+    item = recorded(arc())
+    assert not repeats(item).any()
+    assert not outlying(item).any()
+
+
+def test_repeated_samples_are_left_out_and_rests_stay() -> None:
+    held = np.repeat(arc(count=60), 3, axis=0)
+    item = Demonstration(0.01 * np.arange(float(len(held))), held)
+    cleaned = clean(item, steps(repeated=True))
+    assert cleaned.repeated == 120
+    np.testing.assert_array_equal(cleaned.item.poses, item.poses[::3])
+    rested = np.concatenate([arc()[:100], np.repeat(arc()[100:101], 80, axis=0), arc()[101:]])
+    left = clean(Demonstration(0.02 * np.arange(float(len(rested))), rested), steps(repeated=True)).item
+    assert np.diff(left.times).max() == pytest.approx(79 * 0.02)
+
+
+@pytest.mark.parametrize("index", [3, 77, 150])
+def test_a_spike_is_left_out_and_nothing_else(index: int) -> None:
+    poses = recorded(arc(), noise=0.0003).poses.copy()
+    poses[index, 2] += 0.05
+    assert np.flatnonzero(outlying(Demonstration(0.02 * np.arange(float(len(poses))), poses))).tolist() == [index]
+
+
+def test_a_corner_is_no_outlier() -> None:
+    position = np.array([[0.4, 0.02 * min(i, 40 - i), 0.3] for i in range(41)])
+    item = Demonstration(0.1 * np.arange(41.0), pose.make(position, [1.0, 0.0, 0.0, 0.0]))
+    assert not outlying(item).any()
+
+
+def test_even_steps_keep_the_path() -> None:
+    item = recorded(arc())
+    kept = np.sort(np.random.default_rng(0).permutation(len(item) - 2)[:120]) + 1
+    rows = np.concatenate([[0], kept, [len(item) - 1]])
+    even = evened(Demonstration(item.times[rows], item.poses[rows]))
+    np.testing.assert_allclose(np.diff(even.times), np.diff(even.times)[0])
+    nearest = np.linalg.norm(even.poses[:, None, :3] - item.poses[None, :, :3], axis=2).min(axis=1)
+    assert nearest.max() < 0.002
+
+
+def test_the_arm_follows_what_it_can(arm: Arm) -> None:
+    inside = follow(recorded(arc()), arm)
+    assert inside.share == 1.0
+    assert inside.singular is not None
+    assert inside.singular > 0
+    out = arc()
+    out[:, 0] += np.linspace(0.0, 0.8, len(out))
+    gone = follow(recorded(out), arm)
+    assert 0 < gone.share < 1
+    assert gone.why
+    far = arc()
+    far[:, 0] += 2.0
+    assert follow(recorded(far), arm).singular is None
+
+
+def test_joint_speed_is_inverse_to_time(arm: Arm) -> None:
+    item = recorded(arc())
+    slow = follow(Demonstration(2.0 * item.times, item.poses), arm)
+    assert slow.speed == pytest.approx(0.5 * (follow(item, arm).speed or 0.0))
+
+
+def test_the_odd_one_and_the_double_are_found() -> None:
+    items = [recorded(arc(0.004 * index)) for index in range(5)]
+    beside = compare([*items, recorded(arc(0.15)), items[2]])
+    assert beside.odd == [5]
+    assert [(pair.first, pair.second) for pair in beside.duplicates] == [(2, 6)]
+    assert beside.spread_mm[0] > beside.spread_mm[-1]
+
+
+def test_what_is_alike_is_enough_and_one_alone_is_not() -> None:
+    assert compare([recorded(arc(0.001 * index)) for index in range(4)]).enough
+    assert not compare([recorded(arc())]).enough
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    assert cli.main([*arguments, "--json"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_inspect_writes_what_its_schema_says_and_leaves_the_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for index in range(3):
+        write_csv(Path(f"log_{index}.csv"), [recorded(arc(0.01 * index), idle=30, noise=0.0003, seed=index)])
+    before = {path: path.read_bytes() for path in Path().glob("*.csv")}
+    result = run(capsys, "inspect", "log_0.csv", "log_1.csv", "log_2.csv", "out=seen")
+    assert {path: path.read_bytes() for path in Path().glob("*.csv")} == before
+    assert json.loads(Path("seen/inspect.json").read_text()) == result
+    report = InspectionFile.model_validate(result)
+    assert report.steps == list(STEPS)
+    assert all(one.idle_before_seconds > 0.3 for one in report.demonstrations)
+    assert Path("seen/inspect.png").read_bytes()[:4] == b"\x89PNG"
+    assert [len(item) for item in read_hdf5(Path("seen/demos.hdf5")).items] == [
+        one.kept for one in report.demonstrations
+    ]
+
+
+@pytest.mark.parametrize("command", ["inspect", "import"])
+def test_a_log_in_which_nothing_moves_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    still = np.repeat(arc()[:1], 50, axis=0)
+    write_csv(tmp_path / "still.csv", [Demonstration(0.02 * np.arange(50.0), still)])
+    assert cli.main([command, str(tmp_path / "still.csv"), f"out={tmp_path}/out"]) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert "found it standing still" in told[0]
+
+
+def test_several_motions_are_cut_when_that_is_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    there, rest = arc(), 60
+    once = [np.repeat(there[:1], rest, axis=0), there, np.repeat(there[-1:], rest, axis=0), there[::-1]]
+    poses = np.concatenate([*once, *once])
+    content = "time,tool_x,tool_y,tool_z,tool_qw,tool_qx,tool_qy,tool_qz\n"
+    content += "\n".join(",".join(f"{v:.7f}" for v in (0.02 * i, *row)) for i, row in enumerate(poses.tolist()))
+    Path("log.csv").write_text(content)
+    whole = run(capsys, "import", "log.csv", "out=whole")
+    assert whole["demonstrations"] == 1
+    assert run(capsys, "import", "log.csv", "import.cut=true", "out=cut")["demonstrations"] == 2
+    assert run(capsys, "import", "log.csv", "import.cut=false", "out=one")["sha256"] == whole["sha256"]
+
+
+def test_files_alone_and_demos_are_the_same_and_not_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = ["a b.csv", "c,d.csv", "e=f.csv"]
+    for name in names:
+        write_csv(Path(name), [recorded(arc())])
+    assert run(capsys, "import", *names, "out=one")["files"] == names
+    assert cli.main(["import", "a b.csv", "demos=c", "out=two"]) == 2
+    assert "found both" in capsys.readouterr().err

@@ -1,0 +1,140 @@
+"""Bags of ROS 1 and 2 and MCAP hold the same motion, as poses, transforms and joint states."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from parts import load_parts
+from recording_files import POSES, TIMES, declared, poses_in, same
+
+from koopdqn.demonstrations.recordings.load import load
+from koopdqn.errors import BadInputError
+
+pytest.importorskip("rosbags")
+
+from rosbags.rosbag1 import Writer as Writer1  # after the skip
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+START = 1_700_000_000_000_000_000
+STAMPS = [START + round(1e9 * time) for time in TIMES]
+
+
+class Bag:
+    """Messages of one ROS version, and a bag of them."""
+
+    def __init__(self, kind: str, path: Path) -> None:
+        self.kind = kind
+        self.store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+        if kind == "ros1":
+            content = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(get_types_from_msg(content, "tf2_msgs/msg/TFMessage"))
+        self.path = path / ("log.bag" if kind == "ros1" else "log")
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        self.writer: Any = (
+            Writer1(self.path) if kind == "ros1" else Writer2(self.path, version=9, storage_plugin=plugin)
+        )
+
+    def make(self, name: str, *fields: Any) -> Any:
+        return self.store.types[name](*fields)
+
+    def header(self, stamp: int, frame: str) -> Any:
+        time = self.make("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
+        own = (0,) if self.kind == "ros1" else ()
+        return self.make("std_msgs/msg/Header", *own, time, frame)
+
+    def write(self, topic: str, kind: str, messages: list[Any]) -> None:
+        known = {"typestore": self.store}
+        connection = self.writer.add_connection(topic, kind, **known)
+        for stamp, message in zip(STAMPS, messages, strict=True):
+            raw = (
+                self.store.serialize_ros1(message, kind)
+                if self.kind == "ros1"
+                else self.store.serialize_cdr(message, kind)
+            )
+            self.writer.write(connection, stamp, bytes(raw))
+
+    def poses(self, values: np.ndarray) -> list[Any]:
+        point = "geometry_msgs/msg/Point"
+        turn = "geometry_msgs/msg/Quaternion"
+        return [
+            self.make("geometry_msgs/msg/Pose", self.make(point, *row[:3]), self.make(turn, *row[4:], row[3]))
+            for row in values.tolist()
+        ]
+
+
+KINDS = ["ros1", "ros2", "mcap"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_stamped_poses(tmp_path: Path, kind: str) -> None:
+    bag = Bag(kind, tmp_path)
+    with bag.writer:
+        stamped = "geometry_msgs/msg/PoseStamped"
+        rows = zip(STAMPS, bag.poses(POSES), strict=True)
+        bag.write("/tool", stamped, [bag.make(stamped, bag.header(stamp, "base"), each) for stamp, each in rows])
+    (item,) = load(bag.path, declared({}), None).items
+    same(item.poses, POSES)
+    np.testing.assert_allclose(item.times, TIMES, atol=1e-6)
+    if kind == "mcap":
+        (found,) = poses_in(next(bag.path.glob("*.mcap")))
+        same(found, POSES)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_of_several_poses_one_is_asked_for(tmp_path: Path, kind: str) -> None:
+    bag = Bag(kind, tmp_path)
+    with bag.writer:
+        bag.write("/tool", "geometry_msgs/msg/Pose", bag.poses(POSES))
+        bag.write("/object", "geometry_msgs/msg/Pose", bag.poses(POSES[::-1]))
+    with pytest.raises(BadInputError, match=r"import\.pose.*valid: /tool, /object"):
+        poses_in(bag.path)
+    (found,) = poses_in(bag.path, pose="tool")
+    same(found, POSES)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_transforms_are_told_apart_by_their_frames(tmp_path: Path, kind: str) -> None:
+    bag = Bag(kind, tmp_path)
+    tf, one = "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/TransformStamped"
+    messages = []
+    for stamp, row in zip(STAMPS, POSES.tolist(), strict=True):
+        place = bag.make("geometry_msgs/msg/Vector3", *row[:3])
+        turn = bag.make("geometry_msgs/msg/Quaternion", *row[4:], row[3])
+        transform = bag.make("geometry_msgs/msg/Transform", place, turn)
+        pairs = (("base", "tool0"), ("base", "camera"))
+        messages.append(bag.make(tf, [bag.make(one, bag.header(stamp, a), b, transform) for a, b in pairs]))
+    with bag.writer:
+        bag.write("/tf", tf, messages)
+    (found,) = poses_in(bag.path, pose="tool0")
+    same(found, POSES)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_joint_states_give_the_flange_whatever_their_order(tmp_path: Path, kind: str) -> None:
+    arm = load_parts().arm
+    angles = np.array(arm.home) + 0.3 * TIMES[:, None] * np.arange(1, 7)
+    names, order = sorted(arm.joint_names), np.argsort(arm.joint_names)
+    bag, state = Bag(kind, tmp_path), "sensor_msgs/msg/JointState"
+    empty = np.zeros(0)
+    with bag.writer:
+        messages = [
+            bag.make(state, bag.header(stamp, ""), names, row[order], empty, empty)
+            for stamp, row in zip(STAMPS, angles, strict=True)
+        ]
+        bag.write("/joint_states", state, messages)
+    (item,) = load(bag.path, declared({}), arm).items
+    same(item.poses, arm.forward(angles))
+
+
+def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path) -> None:
+    bag = Bag("ros1", tmp_path)
+    with bag.writer:
+        bag.write("/tool", "geometry_msgs/msg/Pose", bag.poses(POSES))
+    content = bag.path.read_bytes()
+    for share in (0.1, 0.5, 0.95):
+        bag.path.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(BadInputError, match="intact bag"):
+            poses_in(bag.path)

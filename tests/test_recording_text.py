@@ -1,0 +1,235 @@
+"""Text of many loggers is the same motion; what it does not say is asked for by name."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recording_files import (
+    ANGLES,
+    HZ,
+    POSES,
+    QUATERNION,
+    ROWS,
+    TIMES,
+    VECTOR,
+    XYZW,
+    declared,
+    joined,
+    numbered,
+    poses_in,
+    same,
+    written,
+)
+
+from koopdqn import pose
+from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.names import parsed
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+
+P = POSES[:, :3]
+NS = 1.68e18 + 1e9 * TIMES
+FRANKA = np.zeros((ROWS, 16))
+FRANKA[:, [0, 1, 2, 4, 5, 6, 8, 9, 10]] = pose.to_matrix(QUATERNION).transpose(0, 2, 1).reshape(ROWS, 9)
+FRANKA[:, 12:15], FRANKA[:, 15] = P, 1.0
+OTHER = FRANKA + 0.0
+OTHER[:, 12] += 0.1
+
+ROLES = ["x", "y", "z", "qx", "qy", "qz", "qw", "t"]
+FIELDS = [*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw")]
+
+SAID: dict[str, tuple[str, tuple[Array, ...], dict[str, Any]]] = {
+    "rtde": (
+        joined(
+            [
+                "timestamp",
+                numbered("target_TCP_pose", 6),
+                numbered("actual_TCP_pose", 6),
+                numbered("actual_TCP_speed", 6),
+            ]
+        ),
+        (TIMES, P + 0.3, VECTOR, P, VECTOR, P, VECTOR),
+        {},
+    ),
+    "tum": ("# timestamp tx ty tz qx qy qz qw", (1.6e9 + TIMES, P, XYZW), {}),
+    "rostopic": (
+        joined(
+            ["%time", *(f"field.pose.position.{a}" for a in "xyz"), *(f"field.pose.orientation.{a}" for a in "xyzw")]
+        ),
+        (NS, P, XYZW),
+        {},
+    ),
+    "prefixed": (
+        "Time current_pos_x current_pos_y current_pos_z current_quat_x current_quat_y current_quat_z current_quat_w",
+        (TIMES, P, XYZW),
+        {},
+    ),
+    "capitals": ("T X Y Z QW QX QY QZ extra", (TIMES, P, QUATERNION, TIMES), {}),
+    "camel": ("timeStamp posX posY posZ quatW quatX quatY quatZ", (TIMES, P, QUATERNION), {}),
+    "units named": (
+        "time_ms x_mm y_mm z_mm roll_deg pitch_deg yaw_deg",
+        (1e3 * TIMES, 1e3 * P, np.degrees(ANGLES)),
+        {},
+    ),
+    "xarm": (
+        "timestamp x y z roll pitch yaw",
+        (1.7e9 + TIMES, 1e3 * P, np.degrees(ANGLES)),
+        {"units": "mm", "angles": "deg"},
+    ),
+    "euler vectors": (
+        "t pos.x pos.y pos.z rx ry rz",
+        (TIMES, P, np.degrees(ANGLES)),
+        {"rotation": "angles", "angles": "deg"},
+    ),
+    "franka": (joined([numbered("O_T_EE", 16), numbered("O_T_EE_d", 16)]), (FRANKA, OTHER), {"rate_hz": HZ}),
+    "two poses": (
+        "x y z q0 q1 q2 q3 x y z q0 q1 q2 q3",
+        (P + 0.1, QUATERNION, P, QUATERNION),
+        {"pose": "2", "quaternion": "wxyz", "rate_hz": HZ},
+    ),
+    "by name": (
+        "a b c d e f g clock",
+        (P, XYZW, 1e3 * TIMES),
+        {
+            "columns": dict(zip(["x", "y", "z", "qx", "qy", "qz", "qw", "t"], [*"abcdefg", "clock"], strict=True)),
+            "clock": "ms",
+        },
+    ),
+    "stamps in two": (
+        "stamp.secs stamp.nsecs x y z qw qx qy qz",
+        (1.6e9 + np.floor(TIMES), np.rint(1e9 * (TIMES % 1.0)), P, QUATERNION),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+@pytest.mark.parametrize("name", SAID)
+def test_every_logger_says_the_same(tmp_path: Path, name: str, delimiter: str) -> None:
+    header, columns, fields = SAID[name]
+    path = written(tmp_path / "log.txt", header, *columns, delimiter=delimiter)
+    if header.startswith("#"):
+        path.write_text(path.read_text().replace("#" + delimiter, "# ", 1))
+    (item,) = load(path, declared(fields), None).items
+    same(item.poses, POSES, 1e-5)
+    np.testing.assert_allclose(item.times - item.times[0], TIMES, atol=2e-6)
+
+
+@pytest.mark.parametrize("units", ["m", "cm", "mm"])
+def test_a_decimal_comma_and_no_header(tmp_path: Path, units: str) -> None:
+    scale = {"m": 1.0, "cm": 100.0, "mm": 1000.0}[units]
+    path = written(tmp_path / "log.txt", None, TIMES, scale * P, XYZW, delimiter=";")
+    path.write_text(path.read_text().replace(".", ","))
+    fields: dict[str, Any] = {"quaternion": "xyzw", **({} if units == "m" else {"units": units})}
+    (found,) = poses_in(path, **fields)
+    same(found, POSES, 1e-5)
+
+
+def test_declared_order_of_columns(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.dat", None, TIMES, QUATERNION, P, TIMES)
+    (found,) = poses_in(path, columns=["t", "qw", "qx", "qy", "qz", "x", "y", "z", "_"])
+    same(found, POSES)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "keys"),
+    [
+        ("x y z q0 q1 q2 q3", (P, XYZW), ("import.quaternion", "import.rate_hz")),
+        ("t x y z qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("must be in metres",)),
+        ("t tx ty tz qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("import.units",)),
+        ("t pos_x pos_y pos_z roll pitch yaw", (TIMES, P, np.degrees(ANGLES)), ("import.angles",)),
+        ("t pos_x pos_y pos_z rx ry rz", (TIMES, P, np.degrees(ANGLES)), ("import.rotation",)),
+        ("t pos_x pos_y pos_z rot_x rot_y rot_z", (TIMES, P, VECTOR), ("import.rotation",)),
+        ("t pos_x pos_y pos_z", (TIMES, P), ("import.orientation",)),
+        ("n pos_x pos_y pos_z qw qx qy qz", (TIMES, P, QUATERNION), ("import.rate_hz", "import.speed_m_s")),
+        ("time pos_x pos_y pos_z qw qx qy qz", (1e3 * TIMES, P, QUATERNION), ("import.clock",)),
+        ("t a.x a.y a.z a.qw a.qx a.qy a.qz b.x b.y b.z b.qw b.qx b.qy b.qz", (TIMES, POSES, POSES), ("import.pose",)),
+        ("t alpha beta gamma", (TIMES, P), ("import.columns",)),
+        (None, (P, VECTOR), ("import.columns",)),
+    ],
+)
+def test_what_a_file_does_not_say_is_asked_for_by_name(
+    tmp_path: Path, header: str | None, columns: tuple[np.ndarray, ...], keys: tuple[str, ...]
+) -> None:
+    path = written(tmp_path / "log.csv", header, *columns)
+    with pytest.raises(BadInputError) as caught:
+        poses_in(path)
+    assert all(key in str(caught.value) for key in keys), caught.value
+
+
+def test_path_length_as_the_clock(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv", "x y z qw qx qy qz", P, np.tile(QUATERNION[:1], (ROWS, 1)))
+    (item,) = load(path, declared({"speed_m_s": 0.1}), None).items
+    speed = np.linalg.norm(np.diff(item.poses[:, :3], axis=0), axis=1) / np.diff(item.times)
+    np.testing.assert_allclose(speed, 0.1, rtol=1e-4)
+
+
+def test_repeated_times_are_left_out_and_told(tmp_path: Path) -> None:
+    rows = np.repeat(np.arange(ROWS), np.where(np.arange(ROWS) % 5 == 0, 2, 1))
+    path = written(tmp_path / "log.csv", "timestamp tx ty tz qw qx qy qz", TIMES[rows], POSES[rows])
+    loaded = load(path, declared({}), None)
+    same(loaded.items[0].poses, POSES)
+    assert any(f"{ROWS // 5} rows that repeat" in reason for reason in loaded.reasons)
+
+
+def test_a_tool_and_a_base_are_undone(tmp_path: Path) -> None:
+    tool = pose.make([0.0, 0.02, 0.15], pose.from_rotation_vector([0.1, 0.0, 0.3]))
+    base = pose.make([1.0, -0.5, 0.8], pose.from_rotation_vector([0.0, 0.0, 1.2]))
+    seen = pose.compose(np.broadcast_to(base, POSES.shape), pose.compose(POSES, np.broadcast_to(tool, POSES.shape)))
+    path = written(tmp_path / "log.csv", "timestamp tx ty tz qw qx qy qz", TIMES, seen)
+    (found,) = poses_in(path, tool=[0.0, 0.02, 0.15, 0.1, 0.0, 0.3], base=[1.0, -0.5, 0.8, 0.0, 0.0, 1.2])
+    same(found, POSES, 1e-5)
+
+
+def test_demonstrations_are_told_apart(tmp_path: Path) -> None:
+    label = np.repeat([3.0, 1.0], ROWS // 2)
+    path = written(tmp_path / "log.csv", "episode_index timestamp tx ty tz qw qx qy qz", label, TIMES, POSES)
+    first, second = poses_in(path)
+    same(first, POSES[: ROWS // 2])
+    same(second, POSES[ROWS // 2 :])
+
+
+@pytest.mark.parametrize("odd", ["1_0", "nan", "", "0x10", "1e999", "one"])
+def test_a_cell_that_is_no_number_is_named(tmp_path: Path, odd: str) -> None:
+    path = written(tmp_path / "log.csv", "time tx ty tz qw qx qy qz", TIMES, POSES)
+    lines = path.read_text().splitlines()
+    lines[7] = ",".join([*lines[7].split(",")[:2], odd, *lines[7].split(",")[3:]])
+    path.write_text("\n".join(lines))
+    with pytest.raises(BadInputError, match="line 8: ty must be a finite number"):
+        poses_in(path)
+
+
+def test_a_last_line_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv", "time tx ty tz qw qx qy qz", TIMES, POSES)
+    path.write_text(path.read_text()[:-30])
+    loaded = load(path, declared({}), None)
+    same(loaded.items[0].poses, POSES[:-1])
+    assert "the last line cut off and left out" in loaded.reasons[0]
+
+
+WORD = st.from_regex(r"[a-z]{2,6}", fullmatch=True)
+
+
+@given(st.lists(WORD, max_size=3), st.sampled_from("xyzw"), st.sampled_from("._-/"), st.sampled_from(["", "mm", "deg"]))
+def test_a_name_is_the_same_in_any_case_and_with_any_separator(
+    words: list[str], axis: str, sign: str, unit: str
+) -> None:
+    name = sign.join([*words, axis]) + (f" [{unit}]" if unit else "")
+    assert parsed(name) == parsed(name.upper()) == parsed(name.replace(sign, "_"))
+    assert parsed(name).unit == unit
+
+
+@given(st.permutations(range(8)), st.sampled_from([",", ";", "\t"]))
+def test_the_order_of_columns_does_not_matter(
+    tmp_path_factory: pytest.TempPathFactory, order: list[int], sign: str
+) -> None:
+    names = np.array(["time", "tool_x", "tool_y", "tool_z", "tool_qw", "tool_qx", "tool_qy", "tool_qz"])
+    values = np.column_stack([TIMES, POSES])[:5]
+    path = written(
+        tmp_path_factory.mktemp("order") / "log.csv", " ".join(names[order]), values[:, order], delimiter=sign
+    )
+    (found,) = poses_in(path)
+    same(found, POSES[:5])
