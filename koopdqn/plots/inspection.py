@@ -42,7 +42,7 @@ def plot_inspection(
     """
     colours = style.series_colours(len(cleaned))
     count = f"{len(cleaned)} demonstration{'s' if len(cleaned) != 1 else ''}"
-    with style.picture(path, f"{count}, inspected for {arm}", WIDTH, HEIGHT) as figure:
+    with style.picture(path, f"{count}, inspected for {arm} (o: start; pale: as recorded)", WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 3)
         planes = style.two_planes([item.poses[:, pose.POSITION] for item in cleaned])
         for row, plane in enumerate(planes):
@@ -68,7 +68,8 @@ def _paths(
         x, y = style.project(after.poses[:, pose.POSITION], plane)
         axes.plot(x, y, color=colour)
         axes.plot(x[:1], y[:1], "o", color=colour)
-    axes.set(title=f"From {style.VIEWS[plane]} (recorded: pale; o start)", aspect="equal", xlabel="[m]", ylabel="[m]")
+    axes.set(title=f"From {style.VIEWS[plane]}", xlabel="[m]", ylabel="[m]")
+    axes.set_aspect("equal", adjustable="datalim")
 
 
 def _shares(axes: Axes, each: Sequence[InspectedDemonstration], colours: Sequence[str]) -> None:
