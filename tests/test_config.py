@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from pydantic import ValidationError, model_validator
@@ -332,6 +332,8 @@ class TestCompletion:
         assert complete([], "demos=mi") == ["demos=mine/"]
         assert complete([], "demos=mine/t") == ["demos=mine/task/"]
 
+    # Each example composes the whole config.
+    @settings(max_examples=20)
     @given(words=st.lists(st.text(max_size=4), max_size=2), incomplete=st.text(max_size=5))
     def test_nothing_raises(self, words: list[str], incomplete: str) -> None:
         assert isinstance(complete(words, incomplete, "/no/such/folder"), list)
