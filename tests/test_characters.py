@@ -20,7 +20,7 @@ def drawn(picture: Picture, width: int, rows: int) -> np.ndarray:
         [0 if letter == " " else ord(letter) - 0x2800 for letter in line.plain] for line in picture.lines(width, rows)
     ]
     cells = (np.array(codes)[:, None, :, None] & bits[None, :, None, :]) > 0
-    return cells.reshape(4 * rows, 2 * width)[::-1]
+    return np.asarray(cells.reshape(4 * rows, 2 * width)[::-1])
 
 
 @given(place=st.tuples(st.floats(0, 1), st.floats(0, 1)))

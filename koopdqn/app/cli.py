@@ -50,6 +50,15 @@ _COMMANDS = {
             "koopdqn view run=DIR video=film.mp4",
         ),
     ),
+    "explain": (
+        "Say why a policy does what it does in one state, or where a path went wrong.",
+        (
+            "koopdqn explain",
+            "koopdqn explain run=DIR start=3",
+            "koopdqn explain run=DIR start=3 step=57 --json",
+            "koopdqn explain run=DIR 'pose=[0.45,-0.2,0.45,0.707,0,0.707,0]'",
+        ),
+    ),
     "report": (
         "Draw the paper's figures and tables beside ours, from finished runs; or gather a sweep.",
         (

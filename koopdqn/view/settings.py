@@ -1,8 +1,10 @@
-"""What ``koopdqn view`` shows."""
+"""What ``koopdqn view`` and ``koopdqn explain`` show."""
 
-from pydantic import Field
+import math
 
-from koopdqn.settings import PathText, Settings
+from pydantic import Field, field_validator
+
+from koopdqn.settings import NonNegativeInt, PathText, Settings, Vector7
 
 
 class ViewSettings(Settings):
@@ -10,3 +12,21 @@ class ViewSettings(Settings):
 
     starts: int = Field(ge=1, le=12, description="held-out starts, the first of those that eval measures")
     video: PathText | None = Field(description="also a film of the first start: a new .mp4 or .gif; null: none")
+
+
+class ExplainSettings(Settings):
+    """Which state ``koopdqn explain`` explains."""
+
+    start: NonNegativeInt | None = Field(
+        description="number of the held-out start, as eval draws them; null: the first that fails, or 0"
+    )
+    step: NonNegativeInt | None = Field(description="of the path from there, from 0; null: the most telling one")
+    pose: Vector7 | None = Field(description="a pose in place of one of the path; null: none")
+
+    @field_validator("pose")
+    @classmethod
+    def _check_pose(cls, pose: Vector7 | None) -> Vector7 | None:
+        length = 1.0 if pose is None else math.hypot(*pose[3:])
+        if abs(length - 1.0) > 1e-3:
+            raise ValueError(f"must have a quaternion of length 1 within 0.001, found {length:g}")
+        return pose

@@ -35,8 +35,8 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
 }
-_FILMED: Final = ("eval", "view")
-"""Commands whose own key ``video`` needs no prefix."""
+_OWN_KEYS: Final = {"eval": ("video",), "view": ("video",), "explain": ("start", "step", "pose")}
+"""A command's own keys that need no prefix."""
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
 _TAKES_FILES: Final = ("import", "inspect")
@@ -68,7 +68,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
       ``program.start=``.
-    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
+    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``; ``start=``,
+      ``step=`` and ``pose=`` of ``explain`` are its own in the same way.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
@@ -76,9 +77,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps
       a copy of are read from there, wherever the files first given are by now. Where another oracle is
       given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
-    - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
-      robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken. ``export run=DIR``
-      does the same, where ``run=`` must be given.
+    - ``eval run=DIR`` and ``explain run=DIR`` look at the run in DIR: the overrides recorded there come first, so that
+      task and robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
+      ``export run=DIR`` does the same, where ``run=`` must be given.
     - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
       alone.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
@@ -106,7 +107,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
-    if command == "eval" or (command == "export" and named) or (command == "view" and "demos" not in keys):
+    if command in ("eval", "explain") or (command == "export" and named) or (command == "view" and "demos" not in keys):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "inspect", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
@@ -198,7 +199,7 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
-    name = f"{command}.video" if name == "video" and command in _FILMED else _SHORT_NAMES.get(name, name)
+    name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
