@@ -28,7 +28,8 @@ def walk(outcome: str, off: Array, detail: str = "", poses: Array | None = None)
     straight = straight_poses(task.nominal_start[:3], task.goal[:3], COUNT, task.goal[pose.QUATERNION])
     rewards, values = np.full((COUNT, 10), -0.5), np.zeros((COUNT, 10))
     rewards[:, 4], values[:, 4], values[:, 5] = 0.5, 1.0, 0.5
-    evaluation = ActionEvaluation(*[np.zeros(0)] * 7, rewards, *[np.zeros(0)] * 5)
+    parts = dict.fromkeys(ActionEvaluation.__dataclass_fields__, np.zeros(0)) | {"reward": rewards}
+    evaluation = ActionEvaluation(**parts)
     path = straight if poses is None else poses
     episode = Episode(path, np.zeros((COUNT, 6)), outcome, detail)
     return Walk(episode, straight, "the line", evaluation, values, values.argmax(axis=1), off * task.step_m)

@@ -212,9 +212,9 @@ def test_every_file_of_a_run_folder_is_documented(run: Path) -> None:
     found = {"checkpoints/latest.safetensors" if path.name == "checkpoints" else path.name for path in run.iterdir()}
     found |= {path.name for path in (run / "eval").iterdir()}
     found = {f"{name}/" if name in ("events", ".hydra") else name for name in found - {"eval"}}
-    # Those of `koopdqn demo` and `inspect`, of a person at the terminal, of films, of `koopdqn view` and `explain`.
+    # Those of `koopdqn demo` and `inspect`, of a person at the terminal, of films, and of what only looks.
     others = {"demos.png", "inspect.json", "inspect.png", "keys.jsonl", "questions/", "eval.mp4", "view.html"}
-    others |= {"explain.json", "explain.png"}
+    others |= {"explain.json", "explain.png", "compare.json", "compare.html"}
     assert names - found == others
     assert found - names == set()
 

@@ -59,6 +59,10 @@ _COMMANDS = {
             "koopdqn explain run=DIR 'pose=[0.45,-0.2,0.45,0.707,0,0.707,0]'",
         ),
     ),
+    "compare": (
+        "Set trained runs of a task side by side: one table, and one page of their paths.",
+        ("koopdqn compare run=DIR run=DIR", "koopdqn compare run=DIR run=DIR run=DIR view.starts=3 --json"),
+    ),
     "report": (
         "Draw the paper's figures and tables beside ours, from finished runs; or gather a sweep.",
         (

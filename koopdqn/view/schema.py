@@ -1,11 +1,11 @@
-"""What ``explain.json`` holds."""
+"""What ``explain.json`` and ``compare.json`` hold."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from koopdqn.schema import ReportModel
-from koopdqn.settings import Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
 
@@ -54,3 +54,38 @@ class ExplainFile(ReportModel):
     trusted: bool = Field(description="whether the pose is in the trust domain")
     trust: Name = Field(description="why, or why not")
     actions: list[ExplainedAction] = Field(min_length=10, max_length=10, description="all ten actions, in order")
+
+
+class ComparedRun(ReportModel):
+    """One of the runs that are compared."""
+
+    label: Name = Field(description="letter by which the page and the tables name it")
+    folder: Name = Field(description="its folder")
+    seed: NonNegativeInt = Field(description="of the run")
+    learned: bool = Field(description="whether it learned")
+    seconds: NonNegative = Field(description="time the training took [s]")
+    env_steps: NonNegativeInt = Field(description="actions tried")
+    oracle_queries: NonNegativeInt = Field(description="questions that reached the oracle")
+    evaluation: Name | None = Field(description="file of its newest evaluation; null if none was found")
+    success_rate: Fraction | None = Field(description="of that evaluation")
+    deviation_mm: NonNegative | None = Field(description="mean path deviation of that evaluation")
+    reached: NonNegativeInt = Field(description="how many of the shown paths reach the goal")
+
+
+class Difference(ReportModel):
+    """A key of the config in which runs differ."""
+
+    key: Name = Field(description="dotted")
+    values: list[str] = Field(
+        description="of each run, in the order of `runs`, as JSON; empty where there is no such key"
+    )
+
+
+class CompareFile(ReportModel):
+    """The content of ``compare.json``."""
+
+    page: Name = Field(description="the page")
+    task: Name = Field(description="name of the task")
+    starts: list[NonNegativeInt] = Field(description="numbers of the held-out starts that are shown")
+    runs: list[ComparedRun] = Field(description="the runs, in the order in which they were given")
+    differences: list[Difference] = Field(description="of their configs")

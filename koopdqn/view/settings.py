@@ -1,8 +1,9 @@
-"""What ``koopdqn view`` and ``koopdqn explain`` show."""
+"""What ``koopdqn view``, ``koopdqn explain`` and ``koopdqn compare`` show."""
 
 import math
+from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field, Strict, field_validator
 
 from koopdqn.settings import NonNegativeInt, PathText, Settings, Vector7
 
@@ -30,3 +31,9 @@ class ExplainSettings(Settings):
         if abs(length - 1.0) > 1e-3:
             raise ValueError(f"must have a quaternion of length 1 within 0.001, found {length:g}")
         return pose
+
+
+class CompareSettings(Settings):
+    """Which runs ``koopdqn compare`` sets side by side."""
+
+    runs: Annotated[tuple[PathText, ...], Strict(False)] = Field(description="folders of 2 to 6 trained runs of a task")

@@ -41,6 +41,7 @@ _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
 _TAKES_FILES: Final = ("import", "inspect")
 """Commands whose files may stand alone."""
+_MOST_COMPARED: Final = 6
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
 """Inputs that a run keeps a copy of, and its name."""
 _JOURNAL: Final = "feedback.jsonl"
@@ -82,6 +83,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       ``export run=DIR`` does the same, where ``run=`` must be given.
     - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
       alone.
+    - ``compare run=DIR run=DIR`` takes everything from the first run in the same way, and all of them as
+      ``compare.runs=[DIR,DIR]``.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
     - ``import`` and ``inspect`` also take files alone, without ``demos=``.
     - ``import``, ``inspect``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=``
@@ -99,6 +102,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     """
     if command in _TAKES_FILES:
         overrides = _with_files(overrides)
+    if command == "compare":
+        overrides = _with_runs(overrides)
     prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
@@ -107,7 +112,11 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
-    if command in ("eval", "explain") or (command == "export" and named) or (command == "view" and "demos" not in keys):
+    if (
+        command in ("eval", "explain", "compare")
+        or (command == "export" and named)
+        or (command == "view" and "demos" not in keys)
+    ):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "inspect", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
@@ -145,6 +154,17 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
     if any(_key(each) == "demos" for each in rest):
         raise BadInputError(f"demos: must be given by demos= or by files alone, found both: {files[0]}")
     return [f"demos=[{','.join(_literal(str(Path(each).expanduser())) for each in files)}]", *rest]
+
+
+def _with_runs(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides with every ``run=DIR`` gathered in ``compare.runs=``, the first of them kept."""
+    folders = [_value(each) for each in overrides if _key(each) == "run"]
+    rest = [each for each in overrides if _key(each) != "run"]
+    if not 2 <= len(folders) <= _MOST_COMPARED:
+        raise BadInputError(
+            f"run: koopdqn compare needs 2 to {_MOST_COMPARED} runs (run=DIR run=DIR), found {len(folders)}"
+        )
+    return [*rest, f"run={folders[0]}", f"compare.runs=[{','.join(map(_literal, folders))}]"]
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
