@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -92,7 +93,9 @@ def test_the_slider_moves_the_arm(browser: Browser) -> None:
 def test_play_animates_and_pause_stops(browser: Browser) -> None:
     browser.run("view.show(0)")
     browser.click("#play")
-    browser.run("new Promise((done) => setTimeout(done, 700))")
+    until = time.monotonic() + 30.0
+    while not browser.run("view.state()")["frame"] and time.monotonic() < until:
+        browser.settle()
     browser.click("#play")
     browser.settle()
     state = browser.run("view.state()")

@@ -48,6 +48,7 @@ _COMMANDS = {
             "koopdqn view run=DIR",
             "koopdqn view demos=demos.hdf5",
             "koopdqn view run=DIR video=film.mp4",
+            "koopdqn view run=DIR window=true  (MuJoCo's viewer, where there is a display)",
         ),
     ),
     "explain": (

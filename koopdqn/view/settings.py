@@ -13,6 +13,7 @@ class ViewSettings(Settings):
 
     starts: int = Field(ge=1, le=12, description="held-out starts, the first of those that eval measures")
     video: PathText | None = Field(description="also a film of the first start: a new .mp4 or .gif; null: none")
+    window: bool = Field(description="also open MuJoCo's viewer, where there is a display")
 
 
 class ExplainSettings(Settings):

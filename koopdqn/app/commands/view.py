@@ -20,6 +20,7 @@ from koopdqn.tasks.workcell import Reachability, build_scene
 from koopdqn.view.film import check_film
 from koopdqn.view.motions import demonstrated_motions, learned_motions
 from koopdqn.view.page import Shown, write_page
+from koopdqn.view.window import KEYS, check_display, watch
 
 _FOLLOWED: Final = 12
 """Demonstrations that the arm follows; further ones are drawn as lines."""
@@ -32,6 +33,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         if source is None:
             raise BadInputError(f"video: needs a trained run to show, found demos= alone and {str(video)!r}")
         check_film(video, "video")
+    if config.view.window:
+        check_display()
     shown = _of_demonstrations(config, folder) if source is None else _of_run(config, source)
     page = write_page(folder, shown.content())
     motions = [{"name": motion.name, "kind": motion.kind, "remark": motion.remark} for motion in shown.motions]
@@ -41,6 +44,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         demonstrated = [motion for motion in shown.motions if motion.kind == "demonstration"]
         pipeline.film(video, shown.scene, learned, demonstrated)
         lines.append(f"film  {console.shown_path(video)}")
+    if config.view.window:
+        console.note(f"a window is open until you close it; {KEYS}")
+        watch(shown)
     result: dict[str, Any] = {
         "page": str(page),
         "video": None if video is None else str(video),

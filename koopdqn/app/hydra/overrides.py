@@ -35,7 +35,7 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
 }
-_OWN_KEYS: Final = {"eval": ("video",), "view": ("video",), "explain": ("start", "step", "pose")}
+_OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": ("start", "step", "pose")}
 """A command's own keys that need no prefix."""
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
@@ -69,8 +69,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
       ``program.start=``.
-    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``; ``start=``,
-      ``step=`` and ``pose=`` of ``explain`` are its own in the same way.
+    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``;
+      ``window=`` of ``view`` and ``start=``, ``step=`` and ``pose=`` of ``explain`` are their own in the same way.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
