@@ -1,9 +1,11 @@
 """MuJoCo's viewer as a window onto the same motions as the page, moved through by keys."""
 
+import threading
 import time
+import warnings
 from collections import deque
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from itertools import pairwise
 from typing import Final
 
@@ -28,6 +30,7 @@ SECONDS: Final = 8.0
 # As GLFW numbers keys.
 _SPACE, _RIGHT, _LEFT, _DOWN, _UP, _HOME, _END = 32, 262, 263, 264, 265, 268, 269
 _FRAME_SECONDS: Final = 1.0 / 50.0
+_END_SECONDS: Final = 5.0
 _BAR: Final = 40
 _SIZE: Final = (1280, 720)
 _RADIUS: Final = {"learned": 0.0032, "intent": 0.0022, "demonstration": 0.0022}
@@ -122,18 +125,16 @@ def watch(shown: Shown) -> None:
     data = mujoco.MjData(scene.model)
     data.qpos[scene.joint_index] = scene.arm.home
     mujoco.mj_forward(scene.model, data)
-    try:
-        # Keys come from the window's own thread.
-        opened = viewer.launch_passive(
-            scene.model, data, key_callback=pressed.append, show_left_ui=False, show_right_ui=False
-        )
-    # GLFW and OpenGL fail in as many ways as there are displays.
-    except Exception as error:
-        raise WorkFailedError(f"the window cannot be opened: {error}; see `koopdqn doctor`") from error
+    _try_window()
+    others = set(threading.enumerate())
+    # Keys come from the window's own thread.
+    opened = viewer.launch_passive(
+        scene.model, data, key_callback=pressed.append, show_left_ui=False, show_right_ui=False
+    )
     fixed = [*_tracks(shown), *([] if shown.trust is None else tube(shown.trust))]
     marks = [] if shown.goal is None else [Sphere(shown.goal[POSITION], rgba(COLOURS["intent"]), 0.008)]
     before, drawn = time.monotonic(), -1
-    with closing(opened) as window:
+    with _ended(others), closing(opened) as window:
         followed = next((motion.joints for motion in player.motions if len(motion.joints)), None)
         if followed is not None:
             view = choose_view(scene, followed, _SIZE)
@@ -159,6 +160,33 @@ def watch(shown: Shown) -> None:
             window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, f"{name}\n{place}", ""))
             window.sync()
             time.sleep(_FRAME_SECONDS)
+
+
+def _try_window() -> None:
+    """Raise WorkFailedError unless a window with OpenGL opens; the viewer would wait for its own for ever."""
+    import glfw
+
+    with warnings.catch_warnings():
+        # GLFW's reasons come as warnings.
+        warnings.simplefilter("ignore")
+        opened = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            opened = glfw.create_window(16, 16, "koopdqn", None, None)
+            glfw.default_window_hints()
+    if not opened:
+        raise WorkFailedError("the window cannot be opened: this display opens none with OpenGL; see `koopdqn doctor`")
+    glfw.destroy_window(opened)
+
+
+@contextmanager
+def _ended(others: set[threading.Thread]) -> Iterator[None]:
+    """Wait at the end for threads but the others: the viewer's may draw after GLFW has gone, and hang the process."""
+    try:
+        yield
+    finally:
+        for thread in set(threading.enumerate()) - others:
+            thread.join(_END_SECONDS)
 
 
 def path_lines(motion: Motion) -> list[Line]:

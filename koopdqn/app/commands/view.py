@@ -45,7 +45,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         pipeline.film(video, shown.scene, learned, demonstrated)
         lines.append(f"film  {console.shown_path(video)}")
     if config.view.window:
-        console.note(f"a window is open until you close it; {KEYS}")
+        console.note(f"MuJoCo's viewer, until you close it: {KEYS}")
         watch(shown)
     result: dict[str, Any] = {
         "page": str(page),
