@@ -22,7 +22,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.koopdqn-installed
 
 .PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs arms site figures \
-	package constraints clean
+	package pictures constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -88,6 +88,9 @@ site: $(STAMP) ## Build the documentation's site into site/; any warning fails
 
 figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; takes minutes
 	$(BIN)/python scripts/study.py figures
+
+pictures: $(STAMP) ## Draw the pictures of docs/view.md anew; takes minutes
+	$(BIN)/python scripts/pictures.py
 
 package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
 	$(BIN)/python scripts/check_package.py

@@ -20,6 +20,7 @@ from koopdqn.programs.schema import ProgramFile
 from koopdqn.report.schema import ReportFile, SweepFile
 from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
+from koopdqn.view.schema import CompareFile, ExplainFile
 
 FILES: Final = Path(__file__).resolve().parents[1] / "docs" / "files.md"
 
@@ -35,6 +36,8 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "keys.jsonl": SessionLine,
     "keys.jsonl, key": KeyLine,
     "eval.json": EvaluationFile,
+    "explain.json": ExplainFile,
+    "compare.json": CompareFile,
     "program.json": ProgramFile,
     "report.json": ReportFile,
     "sweep.json": SweepFile,

@@ -22,6 +22,7 @@ from koopdqn.oracles.journal import AnswerLine
 from koopdqn.rl import schema as training_schema
 from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
+from koopdqn.view import schema as view_schema
 
 FILES = Path(__file__).resolve().parents[1] / "docs" / "files.md"
 # The knife turns, so that nothing about orientation is null. Steps four times as long make whole episodes short, and a
@@ -122,7 +123,7 @@ def test_the_reports_of_a_run_agree_with_each_other(run: Path) -> None:
 
 def models() -> list[type[BaseModel]]:
     found: set[type[BaseModel]] = {EvaluationFile}
-    for module in (intent_schema, training_schema, feedback_schema, recording_schema, inspection_schema):
+    for module in (intent_schema, training_schema, feedback_schema, recording_schema, inspection_schema, view_schema):
         kinds = [value for value in vars(module).values() if isinstance(value, type)]
         found |= {kind for kind in kinds if issubclass(kind, BaseModel) and kind.__module__ == module.__name__}
     return sorted(found, key=lambda model: model.__name__)
@@ -211,8 +212,9 @@ def test_every_file_of_a_run_folder_is_documented(run: Path) -> None:
     found = {"checkpoints/latest.safetensors" if path.name == "checkpoints" else path.name for path in run.iterdir()}
     found |= {path.name for path in (run / "eval").iterdir()}
     found = {f"{name}/" if name in ("events", ".hydra") else name for name in found - {"eval"}}
-    # Those of `koopdqn demo` and `inspect`, of a person at the terminal, of films and of `koopdqn view`.
+    # Those of `koopdqn demo` and `inspect`, of a person at the terminal, of films, and of what only looks.
     others = {"demos.png", "inspect.json", "inspect.png", "keys.jsonl", "questions/", "eval.mp4", "view.html"}
+    others |= {"explain.json", "explain.png", "compare.json", "compare.html"}
     assert names - found == others
     assert found - names == set()
 

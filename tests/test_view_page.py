@@ -3,14 +3,16 @@
 import re
 import shutil
 import subprocess
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from browser import CHROMIUM, Browser
 from helpers_view import motions, shown
 
-from koopdqn.view.page import render, write_page
+from koopdqn.view.page import Listing, render, write_page
 
 NODE = shutil.which("node")
 
@@ -91,7 +93,9 @@ def test_the_slider_moves_the_arm(browser: Browser) -> None:
 def test_play_animates_and_pause_stops(browser: Browser) -> None:
     browser.run("view.show(0)")
     browser.click("#play")
-    browser.run("new Promise((done) => setTimeout(done, 700))")
+    until = time.monotonic() + 30.0
+    while not browser.run("view.state()")["frame"] and time.monotonic() < until:
+        browser.settle()
     browser.click("#play")
     browser.settle()
     state = browser.run("view.state()")
@@ -114,3 +118,27 @@ def test_a_start_is_chosen_and_a_preset_moves_the_camera(browser: Browser) -> No
     browser.click("#views button:nth-child(2)")
     assert browser.run("camera.position.toArray()") != before
     assert browser.errors == []
+
+
+def test_compared_runs_paths_from_one_start_are_seen_together(tmp_path: Path) -> None:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    one, two = (motion for motion in motions() if motion.kind == "learned")
+    each = [
+        replace(motion, start=start, run=run, colour=colour)
+        for start, motion in ((0, one), (1, two))
+        for run, colour in (("A", "#0072B2"), ("B", "#009E73"))
+    ]
+    listing = Listing("<b>Config</b>", ("key", "A"), [("seed", "<i>0</i>")])
+    content = replace(shown(), motions=each, listings=[listing]).content()
+    with Browser(tmp_path / "profile") as opened:
+        opened.open(write_page(tmp_path, content, "compare.html"))
+        faint = "paths.map((path) => path.material.opacity < 1)"
+        assert opened.run(faint) == [False, False, True, True]
+        opened.run("view.show(3)")
+        opened.settle()
+        assert opened.run(faint) == [True, True, False, False]
+        legend = opened.run("document.getElementById('legend').textContent")
+        assert legend.endswith("AB")
+        assert opened.run("document.querySelector('#listings th[scope=row] + td').textContent") == "<i>0</i>"
+        assert opened.errors == []

@@ -48,7 +48,21 @@ _COMMANDS = {
             "koopdqn view run=DIR",
             "koopdqn view demos=demos.hdf5",
             "koopdqn view run=DIR video=film.mp4",
+            "koopdqn view run=DIR window=true  (MuJoCo's viewer, where there is a display)",
         ),
+    ),
+    "explain": (
+        "Say why a policy does what it does in one state, or where a path went wrong.",
+        (
+            "koopdqn explain",
+            "koopdqn explain run=DIR start=3",
+            "koopdqn explain run=DIR start=3 step=57 --json",
+            "koopdqn explain run=DIR 'pose=[0.45,-0.2,0.45,0.707,0,0.707,0]'",
+        ),
+    ),
+    "compare": (
+        "Set trained runs of a task side by side: one table, and one page of their paths.",
+        ("koopdqn compare run=DIR run=DIR", "koopdqn compare run=DIR run=DIR run=DIR view.starts=3 --json"),
     ),
     "report": (
         "Draw the paper's figures and tables beside ours, from finished runs; or gather a sweep.",

@@ -120,6 +120,11 @@ class Trainer:
         return self.progress.learned
 
     @property
+    def checked_path(self) -> Array:
+        """The poses (T, 7) of the policy of the latest check, from the first of its starts; empty before one."""
+        return self._checker.path
+
+    @property
     def questions(self) -> int:
         """Number of questions that reached the oracle so far."""
         return self.feedback.questions

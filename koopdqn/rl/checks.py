@@ -16,7 +16,11 @@ from koopdqn.tasks.workcell import Workcell
 
 
 class Checker:
-    """Measures policies from fixed starts."""
+    """Measures policies from fixed starts.
+
+    Attributes:
+        path: (T, 7) poses of the latest measured policy from the first start; empty before.
+    """
 
     def __init__(self, workcell: Workcell, model: IntentModel, settings: TrainSettings, step_limit: int) -> None:
         """Draw the starts as ``settings`` say; episodes end after ``step_limit`` steps.
@@ -26,6 +30,7 @@ class Checker:
         self._workcell = workcell
         self._model = model
         self._step_limit = step_limit
+        self.path: Array = np.zeros((0, 7))
         rng = np.random.default_rng([settings.check_seed, 3])
         self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
 
@@ -38,6 +43,7 @@ class Checker:
         workcell, task = self._workcell, self._workcell.task
         begun = self._starts, self._joints, self._step_limit
         episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True)
+        self.path = episodes[0].poses
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
         intended = self._intended

@@ -166,32 +166,36 @@ class Camera:
         return depth
 
     def _draw(self, lines: Sequence[Line], spheres: Sequence[Sphere]) -> None:
-        drawn = self._renderer.scene
-        for sphere in spheres:
-            if geom := self._new_geom(mujoco.mjtGeom.mjGEOM_SPHERE, sphere.rgba):
-                geom.size[:] = sphere.radius
-                geom.pos[:] = sphere.center
-        thinned = [_thinned(line.points, _SEGMENT) for line in lines]
-        # Longer segments rather than missing lines where there are more than the scene has room for.
-        room = max(drawn.maxgeom - drawn.ngeom, 1)
-        every = max(1, -(-sum(map(len, thinned)) // room))
-        for line, points in zip(lines, thinned, strict=True):
-            kept = np.concatenate([points[:-1:every], points[-1:]])
-            for start, end in pairwise(kept):
-                if geom := self._new_geom(mujoco.mjtGeom.mjGEOM_CAPSULE, line.rgba):
-                    mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, line.radius, start, end)
+        draw(self._renderer.scene, lines, spheres)
 
-    def _new_geom(self, kind: Any, rgba: Rgba) -> Any:
-        drawn = self._renderer.scene
-        if drawn.ngeom >= drawn.maxgeom:
-            return None
-        geom = drawn.geoms[drawn.ngeom]
-        drawn.ngeom += 1
-        colour = np.array(rgba, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
-        # It shines by itself, so that its colour is that of the plots.
-        geom.emission, geom.specular = 0.1, 0.0
-        return geom
+
+def draw(drawn: Any, lines: Sequence[Line], spheres: Sequence[Sphere] = ()) -> None:
+    """Add lines and marks to what MuJoCo draws, a ``mujoco.MjvScene``; where there is little room lines get coarser."""
+    for sphere in spheres:
+        if geom := _new_geom(drawn, mujoco.mjtGeom.mjGEOM_SPHERE, sphere.rgba):
+            geom.size[:] = sphere.radius
+            geom.pos[:] = sphere.center
+    thinned = [_thinned(line.points, _SEGMENT) for line in lines]
+    # Longer segments rather than missing lines where there are more than the scene has room for.
+    room = max(drawn.maxgeom - drawn.ngeom, 1)
+    every = max(1, -(-sum(map(len, thinned)) // room))
+    for line, points in zip(lines, thinned, strict=True):
+        kept = np.concatenate([points[:-1:every], points[-1:]])
+        for start, end in pairwise(kept):
+            if geom := _new_geom(drawn, mujoco.mjtGeom.mjGEOM_CAPSULE, line.rgba):
+                mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, line.radius, start, end)
+
+
+def _new_geom(drawn: Any, kind: Any, rgba: Rgba) -> Any:
+    if drawn.ngeom >= drawn.maxgeom:
+        return None
+    geom = drawn.geoms[drawn.ngeom]
+    drawn.ngeom += 1
+    colour = np.array(rgba, dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+    # It shines by itself, so that its colour is that of the plots.
+    geom.emission, geom.specular = 0.1, 0.0
+    return geom
 
 
 def _thinned(points: Array, spacing: float) -> Array:

@@ -55,6 +55,9 @@ class Motion:
         sources: (T,) where the reward of the step to each pose came from, as :mod:`koopdqn.intent.reward` numbers it,
             the first repeated; None where nothing was rewarded.
         edge: (T, 6) middle of a knife's edge [m] and its direction, or None.
+        start: number of the held-out start that it begins at, or None.
+        run: name of the run whose it is, where runs are compared.
+        colour: in which its path is drawn; None: by its sources or kind.
     """
 
     name: str
@@ -65,6 +68,9 @@ class Motion:
     strips: Sequence[Strip]
     sources: np.ndarray | None = None
     edge: Array | None = None
+    start: int | None = None
+    run: str | None = None
+    colour: str | None = None
 
     def baked(self, workcell_scene: Any) -> dict[str, Any]:
         """Return it as JSON values: frames are the poses shown, ``links`` the arm's in those that it reaches."""
@@ -74,6 +80,9 @@ class Motion:
             "name": self.name,
             "kind": self.kind,
             "remark": self.remark,
+            "start": self.start,
+            "run": self.run,
+            "colour": self.colour,
             "frames": frames.tolist(),
             "path": rounded(self.poses[frames, pose.POSITION]),
             "links": rounded(link_poses(workcell_scene, self.joints[followed]).reshape(len(followed), -1)),
@@ -120,7 +129,7 @@ def learned_motions(
         evaluation = feedback.evaluate_actions(episode.poses, np.arange(len(begun)), begun)
         taken = evaluation.source[np.arange(len(begun)), policy(episode.poses, begun)]
         motion = learned_motion(f"start {index}", episode, task, references[index])
-        found.append(replace(motion, sources=np.append(taken[:1], taken[:-1])))
+        found.append(replace(motion, sources=np.append(taken[:1], taken[:-1]), start=index))
         wished = intended_path(feedback.reward.model, task, starts[index], step_limit)
         found.append(
             followed(f"intent from start {index}", "intent", wished, workcell.reachability, task, joints[index])

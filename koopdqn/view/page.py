@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +28,8 @@ MOST_TRACKS: Final = 200
 _SIZE: Final = (1280, 720)
 _AROUND: Final = 0.2
 """How far around the motions a preset looks [m]: about the length of the tool and of a link beside it."""
-_SOURCE_COLOURS: Final = (style.INK, style.GREEN, style.RED, style.PINK, style.SKY)
+SOURCE_COLOURS: Final = (style.INK, style.GREEN, style.RED, style.PINK, style.SKY)
+"""Of a learned path where a reward came from, as :mod:`koopdqn.intent.reward` numbers it."""
 COLOURS: Final = {
     "demonstration": style.ORANGE,
     "learned": style.BLUE,
@@ -38,6 +39,15 @@ COLOURS: Final = {
     "unsafe": style.RED,
 }
 """Of what the page draws, as hexadecimal codes."""
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table above the scene: its title, the names of its columns, and its rows, whose first cells name them."""
+
+    title: str
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,7 @@ class Shown:
         tracks: demonstrated positions (T, 3) [m], drawn as lines.
         trust: the trust domain, or None.
         goal: pose (7,) of the goal, or None.
+        listings: tables above the scene.
     """
 
     title: str
@@ -61,12 +72,14 @@ class Shown:
     tracks: Sequence[Array]
     trust: TrustDomain | None = None
     goal: Array | None = None
+    listings: Sequence[Listing] = ()
 
     def content(self) -> dict[str, Any]:
         """Return it as JSON values, as the page's script reads them."""
         return {
             "title": self.title,
             "lines": list(self.lines),
+            "listings": [asdict(listing) for listing in self.listings],
             "scene": baked_scene(self.scene),
             "motions": [motion.baked(self.scene) for motion in self.motions],
             "tracks": [rounded(track[frames_of(len(track))]) for track in self.tracks[:MOST_TRACKS]],
@@ -74,7 +87,7 @@ class Shown:
             "goal": None if self.goal is None else rounded(self.goal[pose.POSITION]),
             "cameras": cameras(self.scene, self.motions),
             "field_of_view": float(self.scene.model.vis.global_.fovy),
-            "sources": [{"name": n, "colour": c} for n, c in zip(SOURCES, _SOURCE_COLOURS, strict=True)],
+            "sources": [{"name": n, "colour": c} for n, c in zip(SOURCES, SOURCE_COLOURS, strict=True)],
             "colours": COLOURS,
         }
 
@@ -108,17 +121,18 @@ def render(content: Mapping[str, Any]) -> str:
     return environment.get_template("page.html.j2").render(
         title=content["title"],
         lines=content["lines"],
+        listings=content["listings"],
         library=Markup((_HERE / "three.min.js").read_text(encoding="utf-8")),
         licence=Markup((_HERE / "three.LICENSE").read_text(encoding="utf-8").replace("--", "- ")),
         baked=Markup(baked),
     )
 
 
-def write_page(folder: Path, content: Mapping[str, Any]) -> Path:
-    """Write ``view.html`` into a folder and return its path.
+def write_page(folder: Path, content: Mapping[str, Any], name: str = PAGE) -> Path:
+    """Write the page into a folder, ``view.html`` or by another name, and return its path.
 
     Raises:
         BadInputError: the file cannot be written.
     """
-    write_text(folder / PAGE, render(content))
-    return folder / PAGE
+    write_text(folder / name, render(content))
+    return folder / name

@@ -25,7 +25,7 @@ from koopdqn.robot.arm import Arm
 from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
-from koopdqn.view.settings import ViewSettings
+from koopdqn.view.settings import CompareSettings, ExplainSettings, ViewSettings
 
 # Groups whose options name the class of their settings; the other sections have one class each.
 _GROUPS = ("intent", "trust", "oracle", "agent", "robot")
@@ -68,6 +68,8 @@ class Configuration:
     train: TrainSettings
     eval: EvaluationSettings
     view: ViewSettings
+    explain: ExplainSettings
+    compare: CompareSettings
     report: ReportSettings
     import_: ImportSettings
     inspect: InspectSettings

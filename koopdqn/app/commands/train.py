@@ -1,6 +1,6 @@
 """``koopdqn train``: learn the path."""
 
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -9,6 +9,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
+from koopdqn.app.hydra.application import in_sweep
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
@@ -28,6 +29,7 @@ from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.settings import shown
+from koopdqn.view.dashboard import Dashboard, fits
 
 REPORT = "train.json"
 
@@ -65,7 +67,12 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         with reading(f"checkpoint {checkpoint_path(folder)}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
-    _learn(trainer, oracle, folder, shaped_by, began - before, bar=not config.oracle.shows_progress)
+    dashboard = None
+    if not config.oracle.shows_progress and not in_sweep() and fits(console.err()):
+        poses = [item.poses for item in demonstrations.items]
+        dashboard = Dashboard(trainer, poses, config.oracle.budget, console.err(), monotonic() - began + before)
+    bar = dashboard is None and not config.oracle.shows_progress
+    _learn(trainer, oracle, folder, shaped_by, began - before, dashboard, bar=bar)
     seconds = before + monotonic() - began
     write_policy(folder / POLICY, trainer.best, config.agent.network, intent.model.start_frame, shaped_by)
     report = train_report(config, trainer, seconds, made_from)
@@ -98,11 +105,23 @@ def _check_threads(config: Configuration) -> None:
 
 
 def _learn(
-    trainer: Trainer, oracle: JournalledOracle, folder: Path, shaped_by: dict[str, Any], began: float, *, bar: bool
+    trainer: Trainer,
+    oracle: JournalledOracle,
+    folder: Path,
+    shaped_by: dict[str, Any],
+    began: float,
+    dashboard: Dashboard | None,
+    *,
+    bar: bool,
 ) -> None:
     shown = 0
     # Closed first, so that what is said at the end finds the terminal as it was.
-    with console.stage("Learning", bar=bar) as stage, EventLog(folder, trainer) as events, closing(oracle):
+    with (
+        console.stage("Learning", bar=bar) as stage,
+        EventLog(folder, trainer) as events,
+        dashboard or nullcontext(),
+        closing(oracle),
+    ):
 
         def on_check(check: Check) -> None:
             save_checkpoint(folder, trainer, shaped_by, monotonic() - began)
@@ -113,6 +132,8 @@ def _learn(
             nonlocal shown
             last = trainer.history.checks[-1] if trainer.history.checks else None
             oracle.learning(_progress(trainer, last))
+            if dashboard is not None:
+                dashboard.round()
             if trainer.rounds % 10 == 0:
                 stage.advance(trainer.rounds - shown, _progress(trainer, last))
                 shown = trainer.rounds

@@ -6,33 +6,24 @@ from typing import Any, Final
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
-from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
+from koopdqn.app.commands.trained import read_trained
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.result import CommandResult
-from koopdqn.artifact import read_artifact, reading
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.errors import BadInputError
-from koopdqn.intent.reward import IntentReward
-from koopdqn.intent.storage import read_intent
-from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import POSITION
 from koopdqn.resources import conf_dir
-from koopdqn.rl import checkpoint
-from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.policy import read_policy
 from koopdqn.robot.scene import SceneBuilder
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability, build_scene
 from koopdqn.view.film import check_film
 from koopdqn.view.motions import demonstrated_motions, learned_motions
 from koopdqn.view.page import Shown, write_page
+from koopdqn.view.window import KEYS, check_display, watch
 
 _FOLLOWED: Final = 12
 """Demonstrations that the arm follows; further ones are drawn as lines."""
-_FEEDBACK: Final = "feedback/"
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -42,6 +33,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         if source is None:
             raise BadInputError(f"video: needs a trained run to show, found demos= alone and {str(video)!r}")
         check_film(video, "video")
+    if config.view.window:
+        check_display()
     shown = _of_demonstrations(config, folder) if source is None else _of_run(config, source)
     page = write_page(folder, shown.content())
     motions = [{"name": motion.name, "kind": motion.kind, "remark": motion.remark} for motion in shown.motions]
@@ -51,6 +44,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         demonstrated = [motion for motion in shown.motions if motion.kind == "demonstration"]
         pipeline.film(video, shown.scene, learned, demonstrated)
         lines.append(f"film  {console.shown_path(video)}")
+    if config.view.window:
+        console.note(f"MuJoCo's viewer, until you close it: {KEYS}")
+        watch(shown)
     result: dict[str, Any] = {
         "page": str(page),
         "video": None if video is None else str(video),
@@ -61,36 +57,24 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
 
 def _of_run(config: Configuration, source: Path) -> Shown:
-    policy, _ = read_policy(source / POLICY, config.task)
-    demonstrations = pipeline.demonstrations_of(config, source)
-    intent = read_intent(source / pipeline.INTENT, config.task)
-    workcell = pipeline.open_scene(config)
-    feedback = Feedback(
-        IntentReward(config.task, intent.model, intent.trust, config.reward),
-        ScriptedOracle(config.task),
-        config.feedback,
-    )
-    path = checkpoint.checkpoint_path(source)
-    if path.is_file():
-        arrays = read_artifact(path, checkpoint.KIND).arrays
-        with reading(f"checkpoint {path}"):
-            feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
-    starts, limit = min(config.view.starts, config.eval.episodes), step_limit_of(source / REPORT)
-    referred = pipeline.held_out_of(config) is None
+    run = read_trained(config, source)
+    starts, cell = min(config.view.starts, config.eval.episodes), run.workcell
     with console.stage("Moving the arm"):
-        learned = learned_motions(workcell, policy, feedback, config.eval, starts, limit, referred=referred)
-        shown = demonstrated_motions(demonstrations.items, workcell.reachability, config.task, _FOLLOWED)
+        learned = learned_motions(
+            cell, run.policy, run.feedback, config.eval, starts, run.step_limit, referred=run.referred
+        )
+        shown = demonstrated_motions(run.demonstrations.items, cell.reachability, config.task, _FOLLOWED)
     return Shown(
         f"koopdqn: task {config.task.name}",
         (
             f"run {console.shown_path(source)}",
-            f"{len(demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
+            f"{len(run.demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
             f"rule: {config.task.rule}",
         ),
-        workcell.scene,
+        cell.scene,
         [*learned, *shown],
-        [item.poses[:, POSITION] for item in demonstrations.items],
-        feedback.reward.trust,
+        [item.poses[:, POSITION] for item in run.demonstrations.items],
+        run.feedback.reward.trust,
         config.task.goal,
     )
 

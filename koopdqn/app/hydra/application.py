@@ -57,8 +57,8 @@ class Job:
             require_new(folder, ignore=f"{hydra.job.name}.log")
         with locked(folder):
             outcome = self.work(self.command, config, folder)
-        number = int(hydra.job.num) if _in_sweep() else 0
-        record = {"exit_status": outcome.exit_status, "sweep": _in_sweep(), "result": outcome.result}
+        number = int(hydra.job.num) if in_sweep() else 0
+        record = {"exit_status": outcome.exit_status, "sweep": in_sweep(), "result": outcome.result}
         text = json.dumps(record, allow_nan=False)
         (self.outcomes / f"{number:08d}.json").write_text(text, encoding="utf-8")
         if not self.as_json:
@@ -171,11 +171,12 @@ def _print_json(records: Sequence[Mapping[str, Any]]) -> None:
     sys.stdout.flush()
 
 
-def _in_sweep() -> bool:
+def in_sweep() -> bool:
+    """Return whether the present command is a job of a sweep (``-m``)."""
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
-    return bool(HydraConfig.get().mode == RunMode.MULTIRUN)
+    return HydraConfig.initialized() and bool(HydraConfig.get().mode == RunMode.MULTIRUN)
 
 
 class _WithoutHydraLine:

@@ -35,12 +35,13 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
 }
-_FILMED: Final = ("eval", "view")
-"""Commands whose own key ``video`` needs no prefix."""
+_OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": ("start", "step", "pose")}
+"""A command's own keys that need no prefix."""
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
 _TAKES_FILES: Final = ("import", "inspect")
 """Commands whose files may stand alone."""
+_MOST_COMPARED: Final = 6
 _COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
 """Inputs that a run keeps a copy of, and its name."""
 _JOURNAL: Final = "feedback.jsonl"
@@ -68,7 +69,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
       ``program.start=``.
-    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
+    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``;
+      ``window=`` of ``view`` and ``start=``, ``step=`` and ``pose=`` of ``explain`` are their own in the same way.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
@@ -76,11 +78,13 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps
       a copy of are read from there, wherever the files first given are by now. Where another oracle is
       given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
-    - ``eval run=DIR`` measures the run in DIR: the overrides recorded there come first, so that task and
-      robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken. ``export run=DIR``
-      does the same, where ``run=`` must be given.
+    - ``eval run=DIR`` and ``explain run=DIR`` look at the run in DIR: the overrides recorded there come first, so that
+      task and robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
+      ``export run=DIR`` does the same, where ``run=`` must be given.
     - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
       alone.
+    - ``compare run=DIR run=DIR`` takes everything from the first run in the same way, and all of them as
+      ``compare.runs=[DIR,DIR]``.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
     - ``import`` and ``inspect`` also take files alone, without ``demos=``.
     - ``import``, ``inspect``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=``
@@ -98,6 +102,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     """
     if command in _TAKES_FILES:
         overrides = _with_files(overrides)
+    if command == "compare":
+        overrides = _with_runs(overrides)
     prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
@@ -106,7 +112,11 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
-    if command == "eval" or (command == "export" and named) or (command == "view" and "demos" not in keys):
+    if (
+        command in ("eval", "explain", "compare")
+        or (command == "export" and named)
+        or (command == "view" and "demos" not in keys)
+    ):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "inspect", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
@@ -144,6 +154,17 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
     if any(_key(each) == "demos" for each in rest):
         raise BadInputError(f"demos: must be given by demos= or by files alone, found both: {files[0]}")
     return [f"demos=[{','.join(_literal(str(Path(each).expanduser())) for each in files)}]", *rest]
+
+
+def _with_runs(overrides: Sequence[str]) -> list[str]:
+    """Return the overrides with every ``run=DIR`` gathered in ``compare.runs=``, the first of them kept."""
+    folders = [_value(each) for each in overrides if _key(each) == "run"]
+    rest = [each for each in overrides if _key(each) != "run"]
+    if not 2 <= len(folders) <= _MOST_COMPARED:
+        raise BadInputError(
+            f"run: koopdqn compare needs 2 to {_MOST_COMPARED} runs (run=DIR run=DIR), found {len(folders)}"
+        )
+    return [*rest, f"run={folders[0]}", f"compare.runs=[{','.join(map(_literal, folders))}]"]
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
@@ -198,7 +219,7 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
-    name = f"{command}.video" if name == "video" and command in _FILMED else _SHORT_NAMES.get(name, name)
+    name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"

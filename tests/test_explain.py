@@ -1,0 +1,165 @@
+"""What `koopdqn explain` shows: the step that tells most, and what is known of the ten actions there."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_shelf import shelf
+from parts import straight_poses
+from small_run import SMALL
+
+from koopdqn import console, pose
+from koopdqn.app import cli
+from koopdqn.app.hydra.overrides import prepare
+from koopdqn.intent.reward import ActionEvaluation
+from koopdqn.pose import Array
+from koopdqn.tasks.rollout import RULE_BROKEN, STEP_LIMIT, STUCK, SUCCESS, Episode
+from koopdqn.view.explain import Walk, left_at, telling_step
+from koopdqn.view.schema import ExplainFile
+
+COUNT = 30
+
+
+def walk(outcome: str, off: Array, detail: str = "", poses: Array | None = None) -> Walk:
+    """A path beside a straight reference, ``off`` [steps] away at each pose; its chosen actions have reward 0.5."""
+    task = shelf().task
+    straight = straight_poses(task.nominal_start[:3], task.goal[:3], COUNT, task.goal[pose.QUATERNION])
+    rewards, values = np.full((COUNT, 10), -0.5), np.zeros((COUNT, 10))
+    rewards[:, 4], values[:, 4], values[:, 5] = 0.5, 1.0, 0.5
+    parts = dict.fromkeys(ActionEvaluation.__dataclass_fields__, np.zeros(0)) | {"reward": rewards}
+    evaluation = ActionEvaluation(**parts)
+    path = straight if poses is None else poses
+    episode = Episode(path, np.zeros((COUNT, 6)), outcome, detail)
+    return Walk(episode, straight, "the line", evaluation, values, values.argmax(axis=1), off * task.step_m)
+
+
+ON = np.zeros(COUNT)
+
+
+def test_a_path_that_comes_back_has_not_left_and_one_that_stays_away_left_at_the_last_near_pose() -> None:
+    off = ON.copy()
+    off[5:9] = 20.0
+    assert left_at(walk(STEP_LIMIT, off), shelf().task) is None
+    off[15:] = 20.0
+    gone = walk(STEP_LIMIT, off)
+    assert left_at(gone, shelf().task) == 14
+    assert telling_step(gone, shelf().task) == (14, "from here on the path stays more than 15 mm away from the line")
+    assert left_at(walk(STEP_LIMIT, ON + 20.0), shelf().task) == 0
+
+
+@pytest.mark.parametrize(
+    ("outcome", "detail", "step", "why"),
+    [
+        ("collision", "bottle touches wall", 29, "the arm cannot carry out this action: collision bottle touches wall"),
+        (RULE_BROKEN, "", 28, "this action breaks the rule of the task"),
+        (STUCK, "", 28, "this action leaves the pose as it is"),
+        (STEP_LIMIT, "", 29, "the step limit is reached 0 mm from the goal"),
+    ],
+)
+def test_a_failure_on_the_path_is_explained_by_what_ends_it(outcome: str, detail: str, step: int, why: str) -> None:
+    found, told = telling_step(walk(outcome, ON, detail), shelf().task)
+    assert found == step
+    assert told.startswith(why)
+
+
+def test_a_path_in_circles_is_explained_where_the_circle_begins() -> None:
+    task = shelf().task
+    poses = straight_poses(task.nominal_start[:3], task.goal[:3], COUNT, task.goal[pose.QUATERNION])
+    poses[20:] = poses[10:20]
+    step, why = telling_step(walk(STEP_LIMIT, ON, poses=poses), task)
+    assert (step, why) == (10, "10 steps later the path is here again, and goes in circles")
+
+
+def test_a_success_is_explained_by_its_worst_action_or_else_by_its_closest_call() -> None:
+    good = walk(SUCCESS, ON)
+    good.values[12, 5] = 0.9
+    assert telling_step(good, shelf().task)[0] == 12
+    good.evaluation.reward[17, 4] = -0.25
+    step, why = telling_step(good, shelf().task)
+    assert step == 17
+    assert "(-0.25)" in why
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was stopped long before it could learn."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    assert cli.main(["train", *SMALL, "train.max_steps=2000", f"out={folder}"]) == 1
+    return folder
+
+
+def explained(run: Path, out: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    capsys.readouterr()
+    assert cli.main(["explain", f"run={run}", "eval.episodes=12", *arguments, f"out={out}", "--json"]) == 0
+    content: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert ExplainFile.model_validate(content).model_dump(mode="json") == content
+    assert json.loads((out / "explain.json").read_text(encoding="utf-8")) == content
+    assert (out / "explain.png").read_bytes().startswith(b"\x89PNG")
+    return content
+
+
+def test_without_a_start_the_first_failure_is_explained(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = explained(run, tmp_path / "a", capsys)
+    assert content["outcome"] != SUCCESS
+    assert content["step"] <= content["steps"]
+    assert content["why_step"] != "it was asked for"
+    for start in range(content["start"]):
+        assert explained(run, tmp_path / f"b{start}", capsys, f"start={start}")["outcome"] == SUCCESS
+
+
+def test_a_step_of_a_path_is_explained(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = explained(run, tmp_path / "a", capsys, "start=1", "step=0")
+    assert (content["start"], content["step"], content["why_step"]) == (1, 0, "it was asked for")
+    actions = content["actions"]
+    [chosen] = [action["number"] for action in actions if action["chosen"]]
+    assert chosen == int(np.argmax([action["q"] for action in actions]))
+    for action in actions:
+        assert (action["off"] is None) == (action["source"] == "rule")
+        if action["off"] is not None:
+            assert (action["reward"] >= 0) == (action["off"] <= 1.0)
+    step = shelf().task.step_m
+    moved = np.array([action["reached"][:3] for action in actions]) - content["pose"][:3]
+    axes = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
+    np.testing.assert_allclose(moved[4:], step * axes, atol=1e-12)
+    # The same pose given by hand has the same actions.
+    given = explained(run, tmp_path / "b", capsys, "start=1", f"pose={content['pose']}".replace(" ", ""))
+    assert given["why_step"] == "the pose was given"
+    assert given["off_path_mm"] is None
+    for one, other in zip(actions, given["actions"], strict=True):
+        assert one["q"] == pytest.approx(other["q"], abs=1e-5)
+        assert one["why"] == other["why"]
+
+
+def test_people_are_told_in_a_table(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    console.out.cache_clear()
+    assert cli.main(["explain", f"run={run}", "start=0", f"out={tmp_path}/a"]) == 0
+    told = capsys.readouterr().out
+    for part in ("path     start 0: ", "trusted  ", "9 -z", "explain.png"):
+        assert part in told
+    assert told.count(" > ") == 1
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("start=12", "explain.start: must be below eval.episodes (12), found 12"),
+        ("step=100000", "explain.step: must be at most"),
+        ("pose=[0,0,0,1,1,0,0]", "explain.pose: must have a quaternion of length 1 within 0.001, found 1.41421"),
+        ("pose=[0,0,0]", "explain.pose: must be a list of 7 numbers"),
+    ],
+)
+def test_what_cannot_be_explained_is_refused_in_one_line(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], argument: str, expected: str
+) -> None:
+    assert cli.main(["explain", f"run={run}", "eval.episodes=12", argument, f"out={tmp_path}/a"]) == 2
+    assert expected in capsys.readouterr().err.strip().splitlines()[-1]
+
+
+def test_its_own_keys_need_no_prefix_and_those_of_others_stay(run: Path) -> None:
+    own = prepare("explain", [f"run={run}", "start=1", "step=2"]).overrides
+    assert {"explain.start=1", "explain.step=2"} <= set(own)
+    assert "program.start=nominal" in prepare("export", [f"run={run}", "start=nominal"]).overrides
