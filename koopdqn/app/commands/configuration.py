@@ -109,6 +109,8 @@ class Configuration:
         for key, kind in sections.items():
             node = content.get(key)
             parts[names[key]] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
+        if isinstance(parts["chosen"], Task):
+            parts["chosen"] = parts["chosen"].scaled(parts["robot"].task_scale)
         return cls(**parts)
 
     def shaped_by(self) -> dict[str, Any]:

@@ -21,6 +21,7 @@ PATH_KEYS: Final = (
     "oracle.answers",
     "report.sweep",
     "view.video",
+    "robot.path",
 )
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 

@@ -23,7 +23,9 @@ SECTIONS: Final = (
 """The root's keys that hold keys."""
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
 """The root's keys that hold values."""
-PATH_NAMES: Final = ("out", "run", "demos", "intent_file", "journal", "questions", "answers", "runs", "sweep", "video")
+PATH_NAMES: Final = (
+    *("out", "run", "demos", "intent_file", "journal", "questions", "answers", "runs", "sweep", "video", "path"),
+)
 """The last part of every key whose value is a path."""
 
 # What says where this run lies and whom its user trusts is for the present command line to say.
