@@ -62,7 +62,9 @@ class ShelfTask(Task):
         """Return the task with path, start region, shelf and bottle ``factor`` times as large, about the base."""
         if factor == 1.0:
             return self
-        return self.model_copy(update={name: _times(getattr(self, name), factor) for name in self.lengths})
+        # Anew, since a copy would keep the path of the first.
+        kept = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self)(**{**kept, **{name: _times(kept[name], factor) for name in self.lengths}})
 
     def furnish(self, scene: "SceneBuilder") -> None:
         """Put a parallel gripper with a bottle on the flange, and the shelf in front of the arm."""

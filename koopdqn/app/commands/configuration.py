@@ -18,6 +18,7 @@ from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.oracles.base import OracleSettings
 from koopdqn.programs.settings import ProgramSettings
+from koopdqn.programs.streaming import StreamSettings
 from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
@@ -73,6 +74,7 @@ class Configuration:
     inspect: InspectSettings
     export: ExportSettings
     program: ProgramSettings
+    stream: StreamSettings
     derived: Derived | None = None
 
     @property

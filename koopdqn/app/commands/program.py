@@ -39,19 +39,9 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         BadInputError: the run holds no policy of this task, or the start breaks a rule.
         WorkFailedError: there is no program that keeps every limit and touches nothing.
     """
-    from koopdqn.rl.policy import read_policy
-
     settings = config.program
     _check_formats(config)
-    policy, _ = read_policy(run / POLICY, config.task)
-    step_limit = step_limit_of(run / REPORT)
-    workcell = pipeline.open_scene(config)
-    placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
-    if placement is not None:
-        console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
-    if isinstance(config.task, DemonstratedTask):
-        console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
-    program = make_program(workcell, policy, settings, step_limit, placement)
+    program = program_of(config, run)
     files: dict[str, str] = {}
     for name in settings.formats:
         file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
@@ -71,6 +61,22 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         f"report          {console.shown_path(folder / REPORT_NAME)}",
     ]
     return CommandResult(report, lines)
+
+
+def program_of(config: Configuration, run: Path) -> Program:
+    """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it."""
+    from koopdqn.rl.policy import read_policy
+
+    settings = config.program
+    policy, _ = read_policy(run / POLICY, config.task)
+    step_limit = step_limit_of(run / REPORT)
+    workcell = pipeline.open_scene(config)
+    placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
+    if placement is not None:
+        console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
+    if isinstance(config.task, DemonstratedTask):
+        console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
+    return make_program(workcell, policy, settings, step_limit, placement)
 
 
 def _check_formats(config: Configuration) -> None:

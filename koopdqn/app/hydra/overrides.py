@@ -35,6 +35,7 @@ _SHORT_NAMES: Final = {
     "demos.place": "task.place",
     "sweep": "report.sweep",
     "start": "program.start",
+    "host": "stream.host",
 }
 _FILMED: Final = ("eval", "view")
 """Commands whose own key ``video`` needs no prefix."""
@@ -82,6 +83,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       does the same, where ``run=`` must be given.
     - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
       alone.
+    - ``stream run=DIR`` sends the path of the run in the same way; ``host=`` becomes ``stream.host=``.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
     - ``import`` and ``inspect`` also take files alone, without ``demos=``.
     - ``import``, ``inspect``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=``
@@ -103,11 +105,13 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     keys = [_key(override) for override in prepared]
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
+    if command == "stream" and multirun:
+        raise BadInputError("--multirun: koopdqn stream moves one arm once, found it asked for several")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
-    if command == "eval" or (command == "export" and named) or (command == "view" and "demos" not in keys):
+    if command == "eval" or (command in ("export", "stream") and named) or (command == "view" and "demos" not in keys):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "inspect", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
