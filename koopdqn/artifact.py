@@ -204,10 +204,15 @@ def check_task(what: str, found: Any, task: Settings) -> None:
 
 
 def described(settings: Settings) -> dict[str, Any]:
-    """Return settings as JSON values that :func:`koopdqn.settings.load_settings` turns back into them."""
+    """Return settings as JSON values that :func:`koopdqn.settings.load_settings` turns back into them.
+
+    Fields that are excluded, such as a path on this machine, are left out.
+    """
     cls = type(settings)
     node: dict[str, Any] = {TARGET: f"{cls.__module__}.{cls.__qualname__}"}
     for name, field in cls.model_fields.items():
+        if field.exclude:
+            continue
         value = getattr(settings, name)
         node[name] = _plain(value)
         # Only where a subclass may stand is its name read; elsewhere it would be an unknown key.

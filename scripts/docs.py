@@ -16,7 +16,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
 from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
-from koopdqn.programs.schema import ProgramFile
+from koopdqn.programs.schema import ProgramFile, StreamFile
 from koopdqn.report.schema import ReportFile, SweepFile
 from koopdqn.rl.schema import TrainReport
 from koopdqn.schema import ReportModel
@@ -39,6 +39,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "explain.json": ExplainFile,
     "compare.json": CompareFile,
     "program.json": ProgramFile,
+    "stream.json": StreamFile,
     "report.json": ReportFile,
     "sweep.json": SweepFile,
 }

@@ -74,10 +74,16 @@ def test_what_cannot_be_followed_is_named_and_a_placement_found() -> None:
     assert all(blocked_at(arm(), placement.poses(path)) == "" for path in rows)
 
 
+def test_what_a_camera_saw_far_off_is_placed_where_the_flange_rests() -> None:
+    rows = [Placement(np.array([0.0, -1.0, -2.0]), 0.0).poses(item.poses) for item in shown().items]
+    placement = find_placement(arm(), rows)
+    assert all(blocked_at(arm(), placement.poses(path)) == "" for path in rows)
+
+
 def test_where_nothing_will_do_that_is_said() -> None:
     line = np.tile(arc()[0], (200, 1))
     line[:, 0] = np.linspace(-3.0, 3.0, 200)
-    with pytest.raises(BadInputError, match=r"demos\.place=auto: must find a place .* found none among 672"):
+    with pytest.raises(BadInputError, match=r"demos\.place=auto: must find a place .* found none among 1344"):
         find_placement(arm(), [line])
 
 

@@ -5,6 +5,8 @@ from hypothesis import strategies as st
 from parts import straight_poses
 
 from koopdqn import pose
+from koopdqn.app.api import load_config, open_workcell
+from koopdqn.errors import BadInputError
 from koopdqn.robot.ur import URArm
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import COLLISION, Workcell
@@ -81,3 +83,27 @@ def test_the_scene_names_what_the_bottle_hits(workcell: Workcell, arm: URArm) ->
     touching = workcell.scene.contact(joints)
     assert "shelf_right" in touching
     assert "bottle" in touching or "gripper" in touching
+
+
+def test_a_smaller_arm_gets_a_smaller_shelf_and_the_same_steps(shelf_task: ShelfTask) -> None:
+    small = shelf_task.scaled(0.5)
+    assert small.nominal_path.length == pytest.approx(0.5 * shelf_task.nominal_path.length)
+    np.testing.assert_allclose(small.goal[:3], 0.5 * shelf_task.goal[:3])
+    np.testing.assert_allclose(small.compartment_corner_m, 0.5 * np.array(shelf_task.compartment_corner_m))
+    assert (small.step_m, small.goal_tolerance_m) == (shelf_task.step_m, shelf_task.goal_tolerance_m)
+    assert shelf_task.scaled(1.0) is shelf_task
+
+
+@pytest.mark.parametrize("robot", ["ur3", "ur3e"])
+def test_small_arms_follow_the_demonstrator_where_the_straight_line_hits_the_shelf(robot: str) -> None:
+    config = load_config("task=shelf", f"robot={robot}")
+    cell, task = open_workcell(config), config.task
+    joints, reason = cell.reachability.follow(task.demonstrator.roll_out(task.nominal_start, 1000))
+    assert joints is not None, reason
+    line = straight_poses(task.nominal_start[:3], task.goal[:3], 200, task.goal[3:])
+    assert cell.reachability.follow(line)[1] == COLLISION
+
+
+def test_a_task_that_does_not_scale_says_what_the_arm_cannot_reach() -> None:
+    with pytest.raises(BadInputError, match="out of reach"):
+        open_workcell(load_config("task=shelf", "robot=ur3", "robot.task_scale=1"))

@@ -94,6 +94,14 @@ _COMMANDS = {
             "koopdqn export demos=demos.hdf5 export.rotation=vector",
         ),
     ),
+    "stream": (
+        "Send a learned path to a UR's controller while the arm moves; without --move nothing is sent.",
+        (
+            "koopdqn stream run=DIR",
+            "koopdqn stream run=DIR host=192.168.1.10  (reads where the arm stands)",
+            "koopdqn stream run=DIR host=192.168.1.10 --move  (any key stops the arm)",
+        ),
+    ),
 }
 """The commands that take a config: what each does, and examples."""
 
@@ -166,6 +174,14 @@ _MAKE_OPTION: Final = _parameter(
     False,
     typer.Option("--make", help="Train and evaluate what is missing first; the same as report.make=true."),
 )
+_MOVE_OPTION: Final = _parameter(
+    "move",
+    bool,
+    False,
+    typer.Option("--move", help="Move the arm; the same as stream.move=true. Any key stops it."),
+)
+_FLAGS: Final = {"report": _MAKE_OPTION, "stream": _MOVE_OPTION}
+"""The option of its own that a command has."""
 _HYDRA_OPTIONS: Final = (
     _hydra("--multirun", "-m", bool, "Sweep over comma-separated values."),
     _hydra("--run", "-r", bool, "Run one job (the default)."),
@@ -194,12 +210,21 @@ def _root(
 
 
 def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
-    def command(*, overrides: list[str] | None, as_json: bool, debug: bool, make: bool = False, **hydra: Any) -> int:
-        given = [*(overrides or []), *(["report.make=true"] if make else [])]
+    def command(
+        *,
+        overrides: list[str] | None,
+        as_json: bool,
+        debug: bool,
+        make: bool = False,
+        move: bool = False,
+        **hydra: Any,
+    ) -> int:
+        flags = [*(["report.make=true"] if make else []), *(["stream.move=true"] if move else [])]
+        given = [*(overrides or []), *flags]
         return guard(lambda: _compose_and_run(name, hydra, given, as_json=as_json), debug=debug)
 
     # Typer makes the options from this; no command has one that would do nothing.
-    parameters = [*_OWN_OPTIONS, *([_MAKE_OPTION] if name == "report" else []), *_HYDRA_OPTIONS]
+    parameters = [*_OWN_OPTIONS, *([_FLAGS[name]] if name in _FLAGS else []), *_HYDRA_OPTIONS]
     command.__signature__ = Signature(parameters, return_annotation=int)  # type: ignore[attr-defined]  # as in PEP 362
     shown = "\n\n".join(f"[bold]{example}[/]" for example in examples)
     app.command(name, short_help=summary, help=summary, epilog=f"Examples\n\n{shown}")(command)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import chain, product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -237,14 +237,16 @@ def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) 
     """Return the smallest placement tried in which the arm can follow all trajectories (N, 7).
 
     The set is turned about its own middle, and moved outward or inward and up or down; a turn about the base's axis
-    would change nothing but the first joint.
+    would change nothing but the first joint. Where that does not do, as with what a camera saw, the same is tried with
+    its middle where the flange rests.
 
     Raises:
         BadInputError: there is none.
     """
     middle = np.concatenate(trajectories)[:, pose.POSITION].mean(axis=0)
     tried = 0
-    for placement in _candidates(middle):
+    rest = reachability.arm.forward(reachability.arm.home)[pose.POSITION]
+    for placement in chain(_candidates(middle, middle), _candidates(middle, rest)):
         tried += 1
         placed = [placement.poses(rows) for rows in trajectories]
         # Coarsely first: faster, and stricter where joints are fast.
@@ -266,9 +268,9 @@ def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) 
     return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
 
 
-def _candidates(middle: Array) -> Iterator[Placement]:
-    """Yield placements of a set about its middle (3,) [m], the smallest first."""
-    flat = np.array([middle[0], middle[1], 0.0])
+def _candidates(middle: Array, place: Array) -> Iterator[Placement]:
+    """Yield placements of a set that bring its middle (3,) [m] to around a place (3,) [m], the smallest first."""
+    flat = np.array([place[0], place[1], 0.0])
     outward = flat / max(float(np.linalg.norm(flat)), 1e-9)
     moves = sorted(
         product(_TURNS, _OUTWARD, _UPWARD),
@@ -276,4 +278,4 @@ def _candidates(middle: Array) -> Iterator[Placement]:
     )
     for turn, out, up in moves:
         turned = pose.rotate(pose.from_rotation_vector([0.0, 0.0, turn]), middle)
-        yield Placement(middle + out * outward + [0.0, 0.0, up] - turned, float(turn))
+        yield Placement(place + out * outward + [0.0, 0.0, up] - turned, float(turn))

@@ -69,7 +69,7 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
     """
     if time_scale < 1:
         raise BadInputError(f"time_scale must be at least 1, found {time_scale:g}")
-    _check_shape(joints)
+    _check_shape(joints, workcell)
     return play(workcell, joints, time_scale * workcell.reachability.durations(joints))
 
 
@@ -79,14 +79,14 @@ def play(workcell: Workcell, joints: Array, durations: Array) -> Execution:
     Raises:
         BadInputError: the path has fewer than two rows, or an actuator is no position actuator.
     """
-    _check_shape(joints)
+    _check_shape(joints, workcell)
     arm = workcell.arm
     scene = copy.copy(workcell.scene)
     scene.data = mujoco.MjData(scene.model)
     seconds = float(scene.model.opt.timestep)
     commanded, speed = _set_points(joints, durations, seconds)
     led = commanded + _lag(scene) * speed
-    made, speeds, torques = (np.empty((len(led) - 1, 6)) for _ in range(3))
+    made, speeds, torques = (np.empty((len(led) - 1, joints.shape[1])) for _ in range(3))
     touched: list[str] = []
     first = len(made)
     data = scene.data
@@ -116,9 +116,10 @@ def play(workcell: Workcell, joints: Array, durations: Array) -> Execution:
     )
 
 
-def _check_shape(joints: Array) -> None:
-    if joints.ndim != 2 or joints.shape[1] != 6 or len(joints) < 2:
-        raise BadInputError(f"a joint path must have shape (T, 6) with T >= 2, found {joints.shape}")
+def _check_shape(joints: Array, workcell: Workcell) -> None:
+    count = len(workcell.arm.joint_names)
+    if joints.ndim != 2 or joints.shape[1] != count or len(joints) < 2:
+        raise BadInputError(f"a joint path must have shape (T, {count}) with T >= 2, found {joints.shape}")
 
 
 def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:

@@ -166,7 +166,7 @@ def _holdout(
     entered = [workcell.reachability.enter(path[0]) for path in held_out]
     ready = [index for index, motion in enumerate(entered) if motion.joints is not None]
     starts = np.array([held_out[index][0] for index in ready]).reshape(-1, 7)
-    joints = np.array([entered[index].joints for index in ready]).reshape(-1, 6)
+    joints = np.array([entered[index].joints for index in ready]).reshape(-1, len(workcell.arm.joint_names))
     hausdorff: dict[str, list[float]] = {}
 
     def measured(name: str, made: list[Episode]) -> tuple[MethodReport, list[Episode]]:

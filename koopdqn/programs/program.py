@@ -67,8 +67,8 @@ def make_program(
     arm, task = workcell.arm, workcell.task
     limits = Limits(
         settings.speed_share * np.array(arm.velocity_limits),
-        np.full(6, settings.acceleration_rad_s2),
-        np.full(6, settings.jerk_rad_s3),
+        np.full(len(arm.joint_names), settings.acceleration_rad_s2),
+        np.full(len(arm.joint_names), settings.jerk_rad_s3),
         settings.tool_speed_m_s,
     )
     start, joints = _start(workcell, settings, placement)
@@ -84,17 +84,22 @@ def make_program(
 
 
 def _start(workcell: Workcell, settings: ProgramSettings, placement: Placement | None) -> tuple[Array, Array | None]:
-    """Return the pose (7,) at which the program starts, in its own frame, and the joint angles (6,) if given [rad]."""
+    """Return the pose (7,) at which the program starts, in its own frame, and the joint angles (n,) if given [rad]."""
     arm = workcell.arm
     if settings.start == NOMINAL:
         start = workcell.task.nominal_start
         return (start if placement is None else placement.restored(start[None])[0]), None
-    given = np.array(settings.start)
-    if len(given) == 7:
+    if isinstance(settings.start, tuple) and len(settings.start) == 7:
+        given = np.array(settings.start)
         length = float(np.linalg.norm(given[pose.QUATERNION]))
         if abs(length - 1.0) > 1e-3:
             raise BadInputError(f"program.start: its quaternion must have length 1 within 0.001, found {length:g}")
         return pose.make(given[pose.POSITION], given[pose.QUATERNION]), None
+    given = np.array(settings.start["joints"] if isinstance(settings.start, dict) else settings.start)
+    if len(given) != len(arm.joint_names):
+        raise BadInputError(
+            f"program.start: must be {len(arm.joint_names)} joint angles of {arm.name}, found {len(given)}"
+        )
     outside = (given < np.array(arm.joint_lower)) | (given > np.array(arm.joint_upper))
     if outside.any():
         worst = int(outside.argmax())

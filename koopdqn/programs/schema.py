@@ -35,7 +35,7 @@ class ProgramFile(ReportModel):
         description="where demonstrations were recorded, or where `demos.place` moved them"
     )
     start: list[float] = Field(description="(7,) pose of the flange at the first sample")
-    start_joints: list[float] = Field(description="(6,) joint angles there [rad]")
+    start_joints: list[float] = Field(description="(n,) joint angles there [rad]")
     seconds: float = Field(gt=0, description="how long the motion takes [s]")
     period_seconds: float = Field(gt=0, description="between two samples [s]")
     samples: int = Field(ge=2, description="samples written")
@@ -46,3 +46,20 @@ class ProgramFile(ReportModel):
     limits_used: LimitsUsed = Field(description="share of each limit that the fastest sample uses")
     dynamics: ProgramDynamics = Field(description="the program played in MuJoCo's dynamics")
     files: dict[str, str] = Field(description="the file of each format")
+
+
+class StreamFile(ReportModel):
+    """The content of ``stream.json``."""
+
+    task: str = Field(description="name of the task")
+    arm: str = Field(description="name of the arm")
+    policy: Sha256 = Field(description="SHA-256 of the policy file")
+    host: str | None = Field(description="address of the controller; null if none was asked")
+    moved: bool = Field(description="whether the arm was moved; else nothing was sent")
+    seconds: float = Field(gt=0, description="how long the whole motion takes [s]")
+    samples: int = Field(ge=1, description="samples of the whole motion after its start")
+    sent: int = Field(ge=0, description="samples sent")
+    stopped: str | None = Field(description="why it ended before its last sample; null if it did not")
+    late_seconds: float = Field(ge=0, description="most that a sample was sent late [s]")
+    joint_error_rad: float = Field(ge=0, description="most that a joint was off the sample sent before [rad]")
+    start_joints: list[float] = Field(description="(n,) joint angles at which it starts [rad]")

@@ -7,18 +7,23 @@ from pydantic import BeforeValidator, Field
 from koopdqn.settings import Fraction, Positive, Settings
 
 NOMINAL: Final = "nominal"
+_FEWEST: Final = 6
 
 
 def _to_start(value: object) -> Any:
     if value == NOMINAL:
         return value
-    if isinstance(value, list | tuple) and len(value) in (6, 7):
+    if isinstance(value, list | tuple) and len(value) >= _FEWEST:
         return tuple(value)
+    if isinstance(value, dict) and value.keys() == {"joints"} and isinstance(value["joints"], list | tuple):
+        return {"joints": tuple(value["joints"])}
     raise ValueError(f"must be {NOMINAL}, 6 joint angles [rad] or a pose of 7 numbers (x y z [m], qw qx qy qz)")
 
 
-Start = Annotated[Literal["nominal"] | tuple[float, ...], BeforeValidator(_to_start)]
-"""The task's nominal start, joint angles (6,) [rad] or a pose (7,)."""
+Start = Annotated[
+    Literal["nominal"] | tuple[float, ...] | dict[Literal["joints"], tuple[float, ...]], BeforeValidator(_to_start)
+]
+"""The task's nominal start, a pose (7,) or joint angles (n,) [rad]; of an arm with seven joints ``{joints: […]}``."""
 
 Format = Literal["urscript", "ros_yaml", "ros_json", "rtde", "robomimic", "mcap"]
 

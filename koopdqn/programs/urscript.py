@@ -13,8 +13,8 @@ from koopdqn.programs.rtde import rotation_vectors
 from koopdqn.programs.timing import steady
 
 # How the controller's servo follows: it looks ahead [s] and pulls by a gain; the maker's defaults.
-_LOOKAHEAD_S: Final = 0.1
-_GAIN: Final = 300
+LOOKAHEAD_S: Final = 0.1
+GAIN: Final = 300
 # The controller's own defaults for the move to the start [rad/s², rad/s].
 _TO_START: Final = "a=1.4, v=0.5"
 _STOP: Final = 2.0
@@ -29,7 +29,7 @@ def write_servoj(path: Path, program: Program) -> None:
     lines = [
         f"movej({_list(program.motion.joints[0])}, {_TO_START})",
         *(
-            f"servoj({_list(joints)}, t={period:g}, lookahead_time={_LOOKAHEAD_S:g}, gain={_GAIN})"
+            f"servoj({_list(joints)}, t={period:g}, lookahead_time={LOOKAHEAD_S:g}, gain={GAIN})"
             for joints in program.motion.joints[1:]
         ),
         f"stopj({_STOP:g})",

@@ -26,7 +26,7 @@ class Episodes:
     Attributes:
         poses: (N, 7) flange poses.
         starts: (N, 7) of the episodes, as :class:`EpisodeStart` gives them.
-        joints: (N, 6) joint angles [rad].
+        joints: (N, n) joint angles [rad].
         steps: (N,) steps made.
         limits: (N,) steps after which each is truncated.
         numbers: (N,) number of each episode in the run, from 0.
@@ -48,12 +48,12 @@ class Episodes:
     exploring: np.ndarray
 
     @classmethod
-    def empty(cls, count: int) -> "Episodes":
-        """Return ``count`` episodes that have not begun."""
+    def empty(cls, count: int, joints: int) -> "Episodes":
+        """Return ``count`` episodes of an arm with ``joints`` joints that have not begun."""
         return cls(
             poses=np.zeros((count, 7)),
             starts=np.zeros((count, 7)),
-            joints=np.zeros((count, 6)),
+            joints=np.zeros((count, joints)),
             steps=np.zeros(count, dtype=np.int64),
             limits=np.zeros(count, dtype=np.int64),
             numbers=np.zeros(count, dtype=np.int64),
@@ -80,7 +80,7 @@ class Episodes:
         self.exploring[index] = beginning.exploring
 
     def move(self, index: int, pose: Array, joints: Array) -> None:
-        """Move episode ``index`` to a pose (7,) with joints (6,)."""
+        """Move episode ``index`` to a pose (7,) with joints (n,)."""
         self.poses[index] = pose
         self.joints[index] = joints
         self.steps[index] += 1
@@ -149,7 +149,7 @@ class VectorEnv:
         """Begin ``count`` episodes at starts drawn with ``rng``."""
         self.workcell = workcell
         self.feedback = feedback
-        self.episodes = Episodes.empty(count)
+        self.episodes = Episodes.empty(count, len(workcell.arm.joint_names))
         self.put_off = PutOffQuestions(asking, feedback, count)
         self.begun = 0
         self._starts = starts

@@ -26,10 +26,11 @@ class SceneBuilder:
         """Start a scene with the arena and the arm, loaded from the arm's MJCF file."""
         self.arm = arm
         self._arena = mjcf.from_path(str(asset_path(_ARENA)))
-        self._robot = mjcf.from_path(str(asset_path(arm.asset)))
+        self._robot = mjcf.from_path(str(arm.mjcf))
         # A keyframe's numbers would be given to the wrong joints if another joint came before the arm's.
         for key in self._robot.find_all("key"):
             key.remove()
+        _spare_mounting(self._robot)
         self._arena.attach(self._robot)
         self._tool = mjcf.RootElement(model=_TOOL)
         # A controller that knows its payload carries its weight, as a real UR does.
@@ -104,6 +105,20 @@ class SceneBuilder:
             known = [element.name for element in self._robot.find_all(kind)]
             raise unknown_name(f"{kind} of {self.arm.asset}", name, known)
         return found
+
+
+def _spare_mounting(robot: Any) -> None:
+    """Let a first moving link touch what it is mounted on, as MuJoCo lets any other two neighbours."""
+    mounts = list(robot.worldbody.all_children())
+    while mounts:
+        mount = mounts.pop()
+        if mount.tag != "body" or mount.find_all("joint", immediate_children_only=True):
+            continue
+        for body in mount.find_all("body", immediate_children_only=True):
+            if body.find_all("joint", immediate_children_only=True):
+                robot.contact.add("exclude", body1=mount, body2=body)
+            else:
+                mounts.append(body)
 
 
 def _tool_name(name: str, payload: bool) -> str:
@@ -182,8 +197,11 @@ class Scene:
 
     def thing(self, geom: int) -> str:
         """Return a name for people of a geom: its own, or its body's if it has none."""
-        name = self.model.geom(geom).name or self.model.body(self.model.geom_bodyid[geom]).name
-        return str(name.rsplit("/", 1)[-1].removeprefix("payload_"))
+        name = self.model.geom(geom).name.rsplit("/", 1)[-1]
+        # dm_control names what has no name.
+        if not name or name.startswith("unnamed_geom_"):
+            name = self.model.body(self.model.geom_bodyid[geom]).name.rsplit("/", 1)[-1]
+        return str(name.removeprefix("payload_"))
 
     def payload_clearance(self, joints: Array, at_most: float = 0.2) -> float:
         """Return the least distance [m] between payload and furniture at joints (6,) [rad], capped at ``at_most``."""

@@ -9,6 +9,7 @@ Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013), and of the maker's 
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from koopdqn.pose import Array, normalized
+from koopdqn.resources import asset_path
 from koopdqn.robot.arm import InverseResult
 from koopdqn.settings import Name, Names, Positive, Settings, Vector6
 
@@ -61,11 +63,11 @@ def unwrapped(angle: float, near: float, lower: float, upper: float) -> float | 
 def unwrapped_batch(
     angles: Array, near: Array, lower: Sequence[float], upper: Sequence[float]
 ) -> tuple[Array, np.ndarray]:
-    """Return :func:`unwrapped` of joint angles (6, ..., N) [rad] near others that broadcast to them, and where it is.
+    """Return :func:`unwrapped` of joint angles (n, ..., N) [rad] near others that broadcast to them, and where it is.
 
     The second is False where :func:`unwrapped` gives None; the angle is then one beyond the limits.
     """
-    shape = (6,) + (1,) * (angles.ndim - 1)
+    shape = (len(lower),) + (1,) * (angles.ndim - 1)
     low, high = np.reshape(lower, shape), np.reshape(upper, shape)
     angles = angles + TURN * np.rint((near - angles) / TURN)
     angles -= TURN * np.maximum(np.ceil((angles - high - _LIMIT_SLACK) / TURN), 0.0)
@@ -129,6 +131,8 @@ class URArm(Settings):
     torque_limits: Vector6
     home: Vector6
     step_seconds: Positive
+    # Runs of before this key existed were on the tasks as they are.
+    task_scale: Positive = 1.0
 
     @model_validator(mode="after")
     def _check(self) -> "URArm":
@@ -154,6 +158,11 @@ class URArm(Settings):
             if not lower <= home <= upper:
                 raise ValueError(f"home: must lie within {lower}…{upper} rad for {joint}, found {home}")
         return self
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the arm's MJCF file; BadInputError if it is not installed."""
+        return asset_path(self.asset)
 
     def forward(self, joints: ArrayLike) -> Array:
         """Return the flange poses (..., 7) in Base of joint angles (..., 6) [rad].

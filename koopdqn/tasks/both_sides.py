@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -19,6 +20,8 @@ class BothSidesTask(ShelfTask):
 
     Demonstrations do not show that the path around the other wall is the mirror image.
     """
+
+    lengths: ClassVar[tuple[str, ...]] = (*ShelfTask.lengths, "other_waypoints")
 
     other_waypoints: Waypoints = Field(description="flange positions from the other side, start first, goal last [m]")
     other_share: float = Field(ge=0, le=1, description="share of the starts that lie on the other side")

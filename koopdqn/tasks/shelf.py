@@ -1,6 +1,6 @@
 """Putting a bottle into a shelf compartment, upright all the way (§5.1 of the paper)."""
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -27,6 +27,12 @@ class ShelfTask(Task):
     the flange, its axis along the flange's x axis. Orientation is held; tilt over ``max_tilt_rad`` breaks the rule.
     """
 
+    # What grows with the arm; boards and fingers stay as thick as they are.
+    lengths: ClassVar[tuple[str, ...]] = (
+        *("waypoints", "start_half_range_m", "variation_m", "grip_m", "bottle_radius_m", "bottle_height_m"),
+        *("compartment_corner_m", "compartment_size_m", "lip_m"),
+    )
+
     max_tilt_rad: float = Field(gt=0, description="tilt of the bottle from upright that breaks the rule [rad]")
     grip_m: float = Field(gt=0, description="from the flange to the bottle's axis along the flange's z axis [m]")
     bottle_radius_m: float = Field(gt=0)
@@ -51,6 +57,14 @@ class ShelfTask(Task):
         axis = pose.rotate(poses[:, pose.QUATERNION], np.array([1.0, 0.0, 0.0]))
         tilt = np.arctan2(pose.norm(pose.cross(axis, upright)), axis @ upright)
         return np.asarray(tilt > self.max_tilt_rad)
+
+    def scaled(self, factor: float) -> Self:
+        """Return the task with path, start region, shelf and bottle ``factor`` times as large, about the base."""
+        if factor == 1.0:
+            return self
+        # Anew, since a copy would keep the path of the first.
+        kept = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self)(**{**kept, **{name: _times(kept[name], factor) for name in self.lengths}})
 
     def furnish(self, scene: "SceneBuilder") -> None:
         """Put a parallel gripper with a bottle on the flange, and the shelf in front of the arm."""
@@ -102,3 +116,7 @@ class ShelfTask(Task):
         if self.lip_m > 0:
             lip = (x + half, middle_y, z + self.lip_m / 2)
             scene.furniture_box("shelf_lip", lip, (half, width / 2, self.lip_m / 2), DARK_WOOD)
+
+
+def _times(value: Any, factor: float) -> Any:
+    return tuple(_times(item, factor) for item in value) if isinstance(value, tuple) else factor * value

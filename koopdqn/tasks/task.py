@@ -179,6 +179,13 @@ class Task(TaskChoice):
         turn = IN_PLACE * self.rotation_tolerance_rad if self.orientation == "learned" else 0.0
         return self.person.expert(self.reference_path, self.goal, self.step_m / finer, turn / finer)
 
+    def scaled(self, factor: float) -> Self:
+        """Return the task for an arm ``factor`` times as large as the UR5 that its lengths are made for.
+
+        It is the task as it is, unless a task says which of its lengths grow. Steps and tolerances never do.
+        """
+        return self
+
     def with_starts_scaled(self, scale: float) -> Self:
         """Return the task with its start region scaled by ``scale``; tilts stay."""
         x, y, z = self.start_half_range_m

@@ -202,7 +202,7 @@ def followed(
     remark, goal = "the arm follows to its end", poses[-1] if task is None else task.goal
     if known is None:
         path, last = reachability.follow_as_far(poses, begin)
-        known = np.array(path).reshape(-1, 6)
+        known = np.array(path).reshape(-1, len(reachability.arm.joint_names))
         if last.joints is None:
             why = f"{last.reason.replace('_', ' ')} {last.detail}".strip()
             remark = f"the arm follows {len(path)} of {len(poses)} poses: {why}"

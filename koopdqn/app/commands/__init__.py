@@ -21,6 +21,7 @@ _COMMANDS: Final = {
     "import": ("importing.import_", ("run", "intent_file")),
     "inspect": ("inspection.inspect", ("run", "intent_file")),
     "export": ("demonstrations.export", ("intent_file",)),
+    "stream": ("stream.run", ("demos", "intent_file")),
 }
 """Where each command is, and the inputs of others that would change nothing here."""
 
@@ -63,7 +64,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        measured = settings.inputs.run if command in ("eval", "explain", "compare", "export", "view") else None
+        looked_at = ("eval", "explain", "compare", "export", "stream", "view")
+        measured = settings.inputs.run if command in looked_at else None
         if command in ("fit", "train", "eval", "explain", "compare") or measured is not None:
             # The run that these read holds its demonstrations; the others keep them in their own folder.
             settings = with_task(settings, measured or folder, keep=measured is None)

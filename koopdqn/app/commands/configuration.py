@@ -18,6 +18,7 @@ from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.oracles.base import OracleSettings
 from koopdqn.programs.settings import ProgramSettings
+from koopdqn.programs.streaming import StreamSettings
 from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
@@ -75,6 +76,7 @@ class Configuration:
     inspect: InspectSettings
     export: ExportSettings
     program: ProgramSettings
+    stream: StreamSettings
     derived: Derived | None = None
 
     @property
@@ -111,6 +113,8 @@ class Configuration:
         for key, kind in sections.items():
             node = content.get(key)
             parts[names[key]] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
+        if isinstance(parts["chosen"], Task):
+            parts["chosen"] = parts["chosen"].scaled(parts["robot"].task_scale)
         return cls(**parts)
 
     def shaped_by(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The pipeline that commands share: each stage makes what is missing and keeps it in the run folder."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,8 +24,9 @@ from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.arm import Arm
+from koopdqn.robot.mjcf import MjcfArm
 from koopdqn.robot.scene import Scene
-from koopdqn.settings import load_settings
+from koopdqn.settings import TARGET, load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell
@@ -118,7 +119,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     about = read_artifact(policy, "policy").about
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
-        robot: Any = load_settings(about["robot"], Arm, "robot")
+        robot: Any = load_settings({**about["robot"], **_place_of(config.robot, about["robot"])}, Arm, "robot")
         reward = load_settings(about["reward"], RewardSettings, "reward")
     trained = {"task": task, "robot": robot, "reward": reward}
     changed = [name for name, each in trained.items() if described(each) != described(getattr(config, name))]
@@ -138,6 +139,12 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         robot=robot if "robot" in own else config.robot,
         reward=reward if "reward" in own else config.reward,
     )
+
+
+def _place_of(robot: Arm, trained: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the MJCF file of a trained arm lies, which its policy does not hold."""
+    mine = isinstance(robot, MjcfArm) and trained.get(TARGET) == described(robot)[TARGET]
+    return {"path": robot.mjcf} if mine else {}
 
 
 def open_scene(config: Configuration) -> Workcell:

@@ -15,6 +15,7 @@ from koopdqn.app.commands.train import REPORT
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
 from koopdqn.paths import arc_lengths
 from koopdqn.programs.bag import write_bag
@@ -24,9 +25,11 @@ from koopdqn.programs.rtde import write_rtde
 from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.robot.ur import URArm
 from koopdqn.tasks.demonstrated import DemonstratedTask
 
 REPORT_NAME = "program.json"
+_OF_THE_FAMILY = ("urscript", "rtde")
 
 
 def export_program(config: Configuration, run: Path, folder: Path) -> CommandResult:
@@ -36,18 +39,9 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         BadInputError: the run holds no policy of this task, or the start breaks a rule.
         WorkFailedError: there is no program that keeps every limit and touches nothing.
     """
-    from koopdqn.rl.policy import read_policy
-
     settings = config.program
-    policy, _ = read_policy(run / POLICY, config.task)
-    step_limit = step_limit_of(run / REPORT)
-    workcell = pipeline.open_scene(config)
-    placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
-    if placement is not None:
-        console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
-    if isinstance(config.task, DemonstratedTask):
-        console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
-    program = make_program(workcell, policy, settings, step_limit, placement)
+    _check_formats(config)
+    program = program_of(config, run)
     files: dict[str, str] = {}
     for name in settings.formats:
         file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
@@ -67,6 +61,32 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         f"report          {console.shown_path(folder / REPORT_NAME)}",
     ]
     return CommandResult(report, lines)
+
+
+def program_of(config: Configuration, run: Path) -> Program:
+    """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it."""
+    from koopdqn.rl.policy import read_policy
+
+    settings = config.program
+    policy, _ = read_policy(run / POLICY, config.task)
+    step_limit = step_limit_of(run / REPORT)
+    workcell = pipeline.open_scene(config)
+    placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
+    if placement is not None:
+        console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
+    if isinstance(config.task, DemonstratedTask):
+        console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
+    return make_program(workcell, policy, settings, step_limit, placement)
+
+
+def _check_formats(config: Configuration) -> None:
+    asked = config.program.formats
+    if not isinstance(config.robot, URArm) and set(asked) & set(_OF_THE_FAMILY):
+        possible = ", ".join(name for name in _WRITERS if name not in (*_OF_THE_FAMILY, "movep"))
+        raise BadInputError(
+            f"program.formats: {' and '.join(_OF_THE_FAMILY)} are for arms of the UR family, found them asked for"
+            f" {config.robot.name}; valid: [{possible}]"
+        )
 
 
 def _write_robomimic(path: Path, program: Program) -> None:

@@ -21,6 +21,7 @@ PATH_KEYS: Final = (
     "oracle.answers",
     "report.sweep",
     "view.video",
+    "robot.path",
 )
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
@@ -34,6 +35,7 @@ _SHORT_NAMES: Final = {
     "demos.place": "task.place",
     "sweep": "report.sweep",
     "start": "program.start",
+    "host": "stream.host",
 }
 _OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": ("start", "step", "pose")}
 """A command's own keys that need no prefix."""
@@ -85,6 +87,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       alone.
     - ``compare run=DIR run=DIR`` takes everything from the first run in the same way, and all of them as
       ``compare.runs=[DIR,DIR]``.
+    - ``stream run=DIR`` sends the path of the run in the same way; ``host=`` becomes ``stream.host=``.
     - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
     - ``import`` and ``inspect`` also take files alone, without ``demos=``.
     - ``import``, ``inspect``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=``
@@ -108,13 +111,15 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     keys = [_key(override) for override in prepared]
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
+    if command == "stream" and multirun:
+        raise BadInputError("--multirun: koopdqn stream moves one arm once, found it asked for several")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
     if (
         command in ("eval", "explain", "compare")
-        or (command == "export" and named)
+        or (command in ("export", "stream") and named)
         or (command == "view" and "demos" not in keys)
     ):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))

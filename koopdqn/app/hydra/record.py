@@ -18,19 +18,21 @@ RECORD: Final = Path(".hydra") / "overrides.yaml"
 GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "preset")
 """The config groups."""
 SECTIONS: Final = (
-    *("import", "inspect", "demo", "fit", "reward", "feedback", "train", "eval", "report", "export", "program", "view"),
-    *("explain", "compare"),
+    *("import", "inspect", "demo", "fit", "reward", "feedback", "train", "eval", "report"),
+    *("export", "program", "stream", "view", "explain", "compare"),
 )
 """The root's keys that hold keys."""
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
 """The root's keys that hold values."""
-PATH_NAMES: Final = ("out", "run", "demos", "intent_file", "journal", "questions", "answers", "runs", "sweep", "video")
+PATH_NAMES: Final = (
+    *("out", "run", "demos", "intent_file", "journal", "questions", "answers", "runs", "sweep", "video", "path"),
+)
 """The last part of every key whose value is a path."""
 
 # What says where this run lies and whom its user trusts is for the present command line to say.
 _OF_THE_COMMAND: Final = (
-    *("command", "out", "run", "trust_modules", "inspect", "report", "export", "program", "view", "explain"),
-    "compare",
+    *("command", "out", "run", "trust_modules", "inspect", "report", "export", "program", "stream", "view"),
+    *("explain", "compare"),
 )
 _LARGEST: Final = 64 * 1024
 _MOST: Final = 1000

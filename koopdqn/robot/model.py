@@ -1,0 +1,112 @@
+"""What an MJCF file says of an arm: the hinges that move a site, their ranges, their motors and a posture."""
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from koopdqn import pose
+from koopdqn.errors import unknown_name
+from koopdqn.robot.chain import Chain
+
+_FREE: Final = 2.0 * np.pi
+"""Range of a hinge without limits, to either side [rad]."""
+_FEWEST: Final = 6
+
+
+class Model(NamedTuple):
+    """What an MJCF file says of the arm up to a site.
+
+    Attributes:
+        name: of the model.
+        joints: names (n,) of the hinges from the base to the site.
+        chain: their axes, the site as the flange, and their ranges.
+        torques: (n,) largest [Nm] that their motors give; 0 where the file does not limit them.
+        home: (n,) of the first keyframe, or the middle of every range [rad].
+        sha256: of the file.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    chain: Chain
+    torques: tuple[float, ...]
+    home: tuple[float, ...]
+    sha256: str
+
+
+def read_model(path: Path, site: str) -> Model:
+    """Return what an MJCF file says of the arm that carries a site.
+
+    Raises:
+        ValueError: MuJoCo cannot compile the file, it has no such site, or the site is moved by anything but hinges
+            with names, six or more.
+    """
+    if not path.is_file():
+        raise ValueError(f"path: must name an MJCF file, found {'a folder' if path.is_dir() else 'nothing'} at {path}")
+    return _read(path.resolve(), site, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=8)
+def _read(path: Path, site: str, changed_ns: int) -> Model:
+    import mujoco
+
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise ValueError(f"path: {path} must compile in MuJoCo, which says: {' '.join(str(error).split())}") from error
+    names = [model.site(index).name for index in range(model.nsite)]
+    if site not in names:
+        raise ValueError(str(unknown_name(f"site of {path.name}", site, names)))
+    where = names.index(site)
+    joints = _joints(model, int(model.site_bodyid[where]))
+    odd = [model.joint(joint).name for joint in joints if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE]
+    if odd or len(joints) < _FEWEST or not all(model.joint(joint).name for joint in joints):
+        found = f"{odd[0]}, which is none" if odd else f"{len(joints)}"
+        raise ValueError(f"site: {site} must be moved by {_FEWEST} or more hinges that have names, found {found}")
+    address = model.jnt_qposadr[joints]
+    data = mujoco.MjData(model)
+    data.qpos[address] = 0.0
+    mujoco.mj_kinematics(model, data)
+    tip = pose.make(data.site_xpos[where], pose.from_matrix(data.site_xmat[where].reshape(3, 3)))
+    limited = model.jnt_limited[joints].astype(bool)
+    lower, upper = (np.where(limited, model.jnt_range[joints, side], sign * _FREE) for side, sign in ((0, -1), (1, 1)))
+    home = model.key_qpos[0][address] if model.nkey else 0.5 * (lower + upper)
+    return Model(
+        _name(model, path),
+        tuple(model.joint(joint).name for joint in joints),
+        Chain(data.xanchor[joints].copy(), data.xaxis[joints].copy(), tip, lower, upper),
+        tuple(_torque(model, joint) for joint in joints),
+        tuple(np.clip(home, lower, upper).tolist()),
+        hashlib.sha256(path.read_bytes()).hexdigest(),
+    )
+
+
+def _name(model: Any, path: Path) -> str:
+    name = bytes(model.names).partition(b"\0")[0].decode(errors="replace").strip()
+    return name if name and name.isprintable() else path.stem
+
+
+def _joints(model: Any, body: int) -> list[int]:
+    """Return the joints that move a body, from the base on."""
+    joints: list[int] = []
+    while body:
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        joints = [*range(first, first + count), *joints]
+        body = int(model.body_parentid[body])
+    return joints
+
+
+def _torque(model: Any, joint: int) -> float:
+    """Return the largest torque [Nm] that a joint's motors give together, or 0 if the file does not limit it."""
+    import mujoco
+
+    if model.jnt_actfrclimited[joint]:
+        return float(np.abs(model.jnt_actfrcrange[joint]).max())
+    on_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    motors = np.flatnonzero(on_joint & (model.actuator_trnid[:, 0] == joint))
+    if not len(motors) or not model.actuator_forcelimited[motors].all():
+        return 0.0
+    ranges = np.abs(model.actuator_forcerange[motors]).max(axis=1)
+    return float((ranges * np.abs(model.actuator_gear[motors, 0])).sum())

@@ -1,0 +1,212 @@
+"""An arm of any MJCF file: seven joints by damped least squares, six in closed form, and what a file must say."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from koopdqn import pose
+from koopdqn.app.api import load_config, open_workcell
+from koopdqn.app.hydra.overrides import prepare
+from koopdqn.artifact import described
+from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
+from koopdqn.resources import asset_path
+from koopdqn.robot.arm import Arm
+from koopdqn.robot.mjcf import MjcfArm
+from koopdqn.settings import load_settings
+
+SEVEN = Path(__file__).with_name("seven.xml")
+MENAGERIE = os.environ.get("MENAGERIE_ROOT", "")
+FROM_MENAGERIE = {
+    "panda": "franka_emika_panda/panda_nohand.xml",
+    "xarm7": "ufactory_xarm7/xarm7_nohand.xml",
+    "ur5e": "universal_robots_ur5e/ur5e.xml",
+}
+
+
+def arm_of(path: Path, site: str = "flange", *more: str) -> MjcfArm:
+    arm = load_config("robot=mjcf", f"robot.path='{path}'", f"robot.site={site}", *more).robot
+    assert isinstance(arm, MjcfArm)
+    return arm
+
+
+@pytest.fixture(scope="module")
+def seven() -> MjcfArm:
+    return arm_of(SEVEN)
+
+
+def postures(arm: Arm, count: int) -> Array:
+    """Joint angles (count, n) within the ranges, not at their ends."""
+    lower, upper = np.maximum(arm.joint_lower, -np.pi), np.minimum(arm.joint_upper, np.pi)
+    return np.random.default_rng(3).uniform(0.9 * lower + 0.1 * upper, 0.1 * lower + 0.9 * upper, (count, len(lower)))
+
+
+def check_arm(arm: MjcfArm) -> None:
+    """Assert that forward is MuJoCo's, and that the inverse reaches what is near without a jump."""
+    model = mujoco.MjModel.from_xml_path(str(arm.mjcf))
+    data, joints = mujoco.MjData(model), postures(arm, 60)
+    address = [model.joint(name).qposadr[0] for name in arm.joint_names]
+    poses = arm.forward(joints)
+    for row, found in zip(joints, poses, strict=True):
+        data.qpos[address] = row
+        mujoco.mj_kinematics(model, data)
+        site = data.site(arm.flange_site)
+        assert np.abs(found[:3] - site.xpos).max() < 1e-9
+        assert np.abs(pose.to_matrix(found[3:]) - site.xmat.reshape(3, 3)).max() < 1e-9
+    near = joints + np.random.default_rng(4).uniform(-0.01, 0.01, joints.shape)
+    found = arm.inverse_batch(poses, near)
+    assert pose.position_distance(arm.forward(found), poses).max() < 1e-7
+    assert pose.rotation_distance(arm.forward(found), poses).max() < 1e-7
+    assert np.median(np.abs(found - near).max(axis=1)) < 0.05
+    assert (found >= np.array(arm.joint_lower)).all()
+    assert (found <= np.array(arm.joint_upper)).all()
+
+
+def test_seven_joints_reach_what_is_near_within_their_limits(seven: MjcfArm) -> None:
+    assert len(seven.joint_names) == 7
+    assert seven.kinematics == "numeric"
+    assert seven.torque_limits == (150.0,) * 4 + (40.0,) * 3
+    assert seven.home == (0.0, 0.1, 0.0, 1.7, 0.0, -0.2, 0.0)
+    check_arm(seven)
+
+
+def test_one_pose_and_many_give_the_same(seven: MjcfArm) -> None:
+    joints = postures(seven, 5)
+    poses, seeds = seven.forward(joints), joints + 0.01
+    for row, (target, seed) in enumerate(zip(poses, seeds, strict=True)):
+        result = seven.inverse(target, seed)
+        assert result.success
+        assert result.position_residual < 1e-7
+        assert np.abs(result.joints - seven.inverse_batch(poses, seeds)[row]).max() < 1e-9
+
+
+def test_most_poses_are_found_from_home_and_each_solution_is_one(seven: MjcfArm) -> None:
+    poses = seven.forward(postures(seven, 60))
+    found = seven.inverse_batch(poses, np.tile(seven.home, (60, 1)))
+    assert np.isnan(found).any(axis=1).mean() < 0.1
+    solutions = seven.solutions(poses[0])
+    assert len(solutions) > 1
+    assert pose.position_distance(seven.forward(solutions), poses[0]).max() < 1e-7
+    steps = np.abs(solutions - np.array(seven.home)).max(axis=1)
+    assert (np.diff(steps) >= 0).all()
+
+
+def test_a_way_along_a_joint_limit_is_taken_by_the_other_joints(seven: MjcfArm) -> None:
+    joints = np.array(seven.home)
+    joints[0] = seven.joint_upper[0]
+    start = seven.forward(joints)
+    turned = pose.compose(pose.make([0, 0, 0], pose.from_rotation_vector([0, 0, 0.02])), start)
+    result = seven.inverse(turned, joints)
+    assert result.success
+    assert result.joints[0] <= seven.joint_upper[0]
+
+
+def test_what_is_out_of_reach_is_told(seven: MjcfArm) -> None:
+    target = pose.make([2.0, 0.0, 0.5], [1.0, 0.0, 0.0, 0.0])
+    result = seven.inverse(target, seven.home)
+    assert not result.success
+    assert "out of reach" in result.reason
+    assert not len(seven.solutions(target))
+
+
+def test_a_ur_from_its_file_is_the_ur_in_closed_form() -> None:
+    pytest.importorskip("eaik")
+    closed = load_config("robot=ur5e").robot
+    arm = arm_of(asset_path("ur/ur5e.xml"), "attachment_site")
+    assert arm.kinematics == "analytic"
+    joints = postures(arm, 100)
+    poses, seeds = closed.forward(joints), joints + 0.02
+    assert pose.position_distance(arm.forward(joints), poses).max() < 1e-9
+    assert np.abs(arm.inverse_batch(poses, seeds) - closed.inverse_batch(poses, seeds)).max() < 1e-6
+    assert len(arm.solutions(poses[0])) == len(closed.solutions(poses[0]))
+    check_arm(arm_of(asset_path("ur/ur5e.xml"), "attachment_site", "robot.kinematics=numeric"))
+
+
+def test_without_the_extra_it_is_numeric_or_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "eaik.IK_HP", None)
+    path = asset_path("ur/ur5e.xml")
+    assert arm_of(path, "attachment_site").kinematics == "numeric"
+    with pytest.raises(BadInputError, match=r"koopdqn\[analytic\]"):
+        arm_of(path, "attachment_site", "robot.kinematics=analytic")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ([], "path: must name the arm's MJCF file, found None"),
+        (["robot.path=nowhere.xml", "robot.site=flange"], "found nothing at nowhere.xml"),
+        ([f"robot.path={SEVEN}"], "site: must name the site that is the flange, found None"),
+        ([f"robot.path={SEVEN}", "robot.site=tool"], "unknown site of seven.xml 'tool'; valid: flange"),
+        ([f"robot.path={SEVEN}", "robot.site=flange", "robot.sha256=ab"], "path: must be the file whose SHA-256 is ab"),
+        ([f"robot.path={SEVEN}", "robot.site=flange", "robot.home=[0,0]"], "home: must be 7 numbers"),
+        ([f"robot.path={SEVEN}", "robot.site=flange", "robot.velocity_limits=0"], "velocity_limits: must be above 0"),
+        ([f"robot.path={SEVEN}", "robot.site=flange", "robot.kinematics=analytic"], "kinematics: must be numeric"),
+        ([f"robot.path={Path(__file__)}", "robot.site=flange"], "must compile in MuJoCo"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line(changes: list[str], words: str) -> None:
+    with pytest.raises(BadInputError) as told:
+        load_config("robot=mjcf", *changes)
+    assert words in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_an_arm_that_slides_or_has_few_joints_is_refused(tmp_path: Path) -> None:
+    text = SEVEN.read_text(encoding="utf-8")
+    sliding = tmp_path / "sliding.xml"
+    sliding.write_text(text.replace('<joint name="A4" ', '<joint name="A4" type="slide" '), encoding="utf-8")
+    with pytest.raises(BadInputError, match="6 or more hinges"):
+        arm_of(sliding)
+    weak = tmp_path / "weak.xml"
+    weak.write_text(text.replace(' forcerange="-40 40"', ' forcelimited="false"'), encoding="utf-8")
+    with pytest.raises(BadInputError, match="torque_limits: must be given for A5"):
+        arm_of(weak)
+
+
+def test_artifacts_hold_the_files_digest_and_not_where_it_lies(seven: MjcfArm) -> None:
+    node = described(seven)
+    assert "path" not in node
+    assert str(SEVEN.parent) not in str(node)
+    again: Any = load_settings({**node, "path": SEVEN}, Arm, "robot")
+    assert again == seven
+    with pytest.raises(BadInputError, match="path: must name"):
+        load_settings(node, Arm, "robot")
+
+
+def test_a_record_may_not_name_a_file_elsewhere(tmp_path: Path) -> None:
+    record = tmp_path / ".hydra" / "overrides.yaml"
+    record.parent.mkdir()
+    record.write_text("- command=train\n- robot=mjcf\n- robot.path=/etc/passwd\n", encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"give robot\.path= again"):
+        prepare("train", [f"run={tmp_path}"])
+    given = prepare("train", [f"run={tmp_path}", "robot.path=mine.xml"]).overrides
+    assert [each for each in given if each.startswith("robot.path")] == ["robot.path=mine.xml"]
+
+
+def test_the_shelf_is_reached_by_seven_joints(seven: MjcfArm) -> None:
+    config = load_config("task=shelf", "robot=mjcf", f"robot.path='{SEVEN}'", "robot.site=flange")
+    workcell = open_workcell(config)
+    path = config.task.expert().roll_out(config.task.nominal_start, 500)
+    joints, reason = workcell.reachability.follow(path)
+    assert not reason
+    assert joints is not None
+    assert joints.shape == (len(path), 7)
+    assert np.abs(np.diff(joints, axis=0)).max() < 0.1
+    assert workcell.scene.contact(np.array(seven.home)) == ""
+
+
+@pytest.mark.skipif(not MENAGERIE, reason="MENAGERIE_ROOT names no folder")
+@pytest.mark.parametrize("name", FROM_MENAGERIE)
+def test_arms_of_menagerie(name: str) -> None:
+    path = Path(MENAGERIE) / FROM_MENAGERIE[name]
+    check_arm(arm_of(path, "attachment_site"))
+    config = load_config("task=shelf", "robot=mjcf", f"robot.path='{path}'", "robot.site=attachment_site")
+    joints, reason = open_workcell(config).reachability.follow(
+        config.task.expert().roll_out(config.task.nominal_start, 500)
+    )
+    assert joints is not None, reason
