@@ -88,7 +88,8 @@ def _serve(read: Callable[[], Content], pipe: int, seconds: float) -> None:
                 raise BadInputError(f"must hold at most {MOST_BYTES} bytes of numbers, found {total}")
             head = {"about": about, "shapes": [values.shape for values in arrays]}
         except BadInputError as error:
-            head = {"refused": str(error)}
+            # What a library says may take several lines.
+            head = {"refused": " ".join(filter(None, map(str.strip, str(error).splitlines())))}
         except MemoryError:
             head = {"refused": "reading it must not take more memory than its numbers, found that it does"}
         # a library may raise anything for a damaged file

@@ -124,6 +124,12 @@ def test_what_shakes_between_all_its_rows_is_cut_in_time(tmp_path: Path) -> None
     assert time.monotonic() - began < 60
 
 
+def test_what_a_library_says_in_several_lines_is_told_in_one(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    (tmp_path / "a.parquet").write_bytes(b"PAR1" + bytes(64) + (8).to_bytes(4, "little") + b"PAR1")
+    refused(tmp_path / "a.parquet", "intact Parquet file")
+
+
 def test_a_pipe_or_a_device(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.csv")
     refused(tmp_path / "a.csv", "found a pipe or a device")
