@@ -22,6 +22,7 @@ from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.arm import Arm
+from koopdqn.safety.guard import GuardSettings
 from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
@@ -73,6 +74,7 @@ class Configuration:
     inspect: InspectSettings
     export: ExportSettings
     program: ProgramSettings
+    guard: GuardSettings
     derived: Derived | None = None
 
     @property
