@@ -6,24 +6,28 @@ import resource
 import select
 import signal
 import struct
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
 
 from koopdqn.errors import BadInputError
 
-SECONDS: Final = 30.0
-"""How long reading may take."""
+SECONDS: Final = 25.0
+"""How many seconds of computing reading may take, in twice as many of the clock."""
 MOST_BYTES: Final = 2**28
 """How many bytes of numbers may be read."""
 
 # For what the library needs besides.
 _OWN_BYTES: Final = 2**30
+# The largest file that a library may unpack.
+_UNPACKED_BYTES: Final = 2**32
 _HEAD: Final = struct.Struct("<Q")
 _LONGEST_ABOUT: Final = 2**24
 
@@ -36,27 +40,32 @@ def confined(read: Callable[[], Content], seconds: float = SECONDS) -> Content:
 
     Args:
         read: reads a file; it must not use more than it needs, since whatever threads ran before are not there.
-        seconds: after how long it is given up.
+        seconds: of computing that it may take, in twice as many of the clock.
 
     Raises:
         BadInputError: what it raised as such, or that it failed, took too long or too much memory, or was killed.
     """
-    ours, theirs = os.pipe()
-    with warnings.catch_warnings():
-        # The child only reads a file and ends at once, which is safe beside threads.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        child = os.fork()
-    if child == 0:
-        os.close(ours)
-        _serve(read, theirs, seconds)
-    os.close(theirs)
-    try:
-        return _received(ours, seconds)
-    finally:
-        os.close(ours)
-        with suppress(OSError):
-            os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+    # What a library unpacks goes with the folder, even if the process is killed.
+    with TemporaryDirectory(prefix="koopdqn-") as folder:
+        ours, theirs = os.pipe()
+        with warnings.catch_warnings():
+            # The child only reads a file and ends at once, which is safe beside threads.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
+        if child == 0:
+            os.close(ours)
+            tempfile.tempdir = folder
+            _serve(read, theirs, seconds)
+        os.close(theirs)
+        try:
+            return _received(ours, 2.0 * seconds)
+        except BaseException:
+            with suppress(OSError):
+                os.kill(child, signal.SIGKILL)
+            raise
+        finally:
+            os.close(ours)
+            os.waitpid(child, 0)
 
 
 def _serve(read: Callable[[], Content], pipe: int, seconds: float) -> None:
@@ -70,12 +79,17 @@ def _serve(read: Callable[[], Content], pipe: int, seconds: float) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
         resource.setrlimit(resource.RLIMIT_CPU, (int(seconds) + 1, int(seconds) + 1))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (_UNPACKED_BYTES, _UNPACKED_BYTES))
         arrays: list[np.ndarray] = []
         try:
             about, arrays = read()
+            total = sum(8 * values.size for values in arrays)
+            if total > MOST_BYTES:
+                raise BadInputError(f"must hold at most {MOST_BYTES} bytes of numbers, found {total}")
             head = {"about": about, "shapes": [values.shape for values in arrays]}
         except BadInputError as error:
-            head = {"refused": str(error)}
+            # What a library says may take several lines.
+            head = {"refused": " ".join(filter(None, map(str.strip, str(error).splitlines())))}
         except MemoryError:
             head = {"refused": "reading it must not take more memory than its numbers, found that it does"}
         # a library may raise anything for a damaged file
@@ -118,10 +132,12 @@ def _exactly(pipe: int, count: int, until: float, seconds: float) -> bytearray:
         left = until - time.monotonic()
         if left <= 0 or not select.select([pipe], [], [], left)[0]:
             raise BadInputError(
-                f"reading it must take at most {seconds:g} s, found that it takes longer: it is damaged"
+                f"reading it must take at most {seconds:.3g} s, found that it takes longer: it is damaged"
             )
         part = os.read(pipe, min(count - len(found), 2**20))
         if not part:
-            raise BadInputError("reading it failed: the library gave up on it, so that it is damaged or too large")
+            raise BadInputError(
+                "reading it failed: the library gave up on it or took too long, so that it is damaged or too large"
+            )
         found += part
     return found

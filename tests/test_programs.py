@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_shelf import shelf
+from helpers_shelf import shelf, taught
 from parts import as_demonstrations
 from program_reader import Timed, read_joint_trajectory, read_movep, read_servoj, transforms
 from scipy.spatial.distance import cdist
@@ -278,7 +278,12 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     (run / "train.json").write_text(f'{{"step_limit": {STEP_LIMIT}}}')
     (run / "policy.safetensors").write_bytes(b"any")
     monkeypatch.setattr("koopdqn.rl.policy.read_policy", lambda path, task: (policy, {}))
-    config = load_config("program.urscript=movep", "program.formats=[urscript,rtde,robomimic]")
+    monkeypatch.setattr("koopdqn.app.commands.program.read_intent", lambda path, task: taught())
+    person = "{position_m: [1.5, 0, 0.3], radius_m: 0.3, speed_m_s: 1.6, reaction_s: 0.1, stopping_s: 0.3,"
+    person += "stopping_m: 0.05, intrusion_m: 0, person_error_m: 0, arm_error_m: 0, arm_radius_m: 0.08, tool_m: 0.2}"
+    config = load_config(
+        "program.urscript=movep", "program.formats=[urscript,rtde,robomimic]", f"guard.person={person}"
+    )
     result = export_program(config, run, out)
     report = ProgramFile.model_validate_json((out / "program.json").read_text())
     assert report.model_dump(mode="json") == result.result
@@ -290,3 +295,5 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     np.testing.assert_allclose(item.joints, program().motion.joints)
     assert report.samples == len(item)
     assert report.smoothing_mm <= 2.0
+    assert report.separation is not None
+    assert report.separation.margin_m == report.separation.distance_m - report.separation.required_m

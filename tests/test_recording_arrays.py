@@ -278,7 +278,7 @@ def test_a_lerobot_data_set(tmp_path: Path, names: list[str] | None) -> None:
 def test_without_the_extras_the_error_names_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     (tmp_path / "a.parquet").write_bytes(b"PAR1")
     (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")

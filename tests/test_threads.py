@@ -72,6 +72,26 @@ def test_a_replay_takes_the_threads_of_its_run(tmp_path: Path, capsys: pytest.Ca
     assert "train.threads: must be that of the run whose journal is given again (2, " in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("stopped_at", ["demos.hdf5", "intent.npz"])
+def test_a_run_stopped_before_its_first_checkpoint_goes_on_with_its_own_threads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, stopped_at: str
+) -> None:
+    console.err.cache_clear()
+    place = {"demos.hdf5": "fitted_intent", "intent.npz": "agent_steps"}[stopped_at]
+    where = "koopdqn.app.commands." + ("pipeline." if place == "fitted_intent" else "train.") + place
+    with monkeypatch.context() as patched:
+        patched.setattr(where, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert cli.main(["train", *SMALL, f"out={tmp_path}/run"]) == 130
+    assert (tmp_path / "run" / stopped_at).is_file()
+    assert not (tmp_path / "run" / "checkpoints").exists()
+    capsys.readouterr()
+    assert cli.main(["train", f"run={tmp_path}/run", "train.threads=2"]) == 2
+    assert "train.threads: must be 1, with which the run in " in capsys.readouterr().err
+    for damaged in ("[]", "{}", '{"threads": true}'):
+        (tmp_path / "run" / "begun.json").write_text(damaged)
+        assert cli.main(["train", f"run={tmp_path}/run"]) == 2
+
+
 def test_a_number_that_a_library_does_not_take_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("threadpoolctl.threadpool_info", lambda: [{"internal_api": "blis", "num_threads": 4}])
     with pytest.raises(BadInputError, match="found 3, of which blis takes 4"), threads(3):

@@ -2,7 +2,7 @@
 
 import csv
 import re
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -94,7 +94,9 @@ def read_table(path: Path) -> Table:
     text = _text(path)
     quoted = '"' in text
     everything = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    said = [i for i, line in enumerate(everything) if line.strip(" \t,;") and not line.lstrip().startswith(_COMMENT)]
+    said = [i for i, line in enumerate(everything) if line.strip(" \t,;")]
+    if _COMMENT in text:
+        said = [i for i in said if not everything[i].lstrip().startswith(_COMMENT)]
     if not said:
         raise BadInputError(f"demonstrations {path}: must hold a header line and samples, found an empty file")
     header, *rows = (everything[index] for index in said)
@@ -111,7 +113,7 @@ def read_table(path: Path) -> Table:
             counts = np.array([row.count(separator) for row in rows], dtype=int) + 1
     except csv.Error as error:
         raise BadInputError(f"demonstrations {path}: must be CSV text, found: {error}") from error
-    twice = sorted({name for name in names if name and names.count(name) > 1})
+    twice = sorted(name for name, count in Counter(names).items() if name and count > 1)
     if twice:
         raise BadInputError(f"demonstrations {path}: every column must have its own name, found two named {twice[0]}")
     for index in np.flatnonzero(counts != len(names)):
@@ -204,10 +206,17 @@ def read_csv(path: Path) -> list[Demonstration]:
     poses = np.concatenate([position, _QUATERNIONS[rotation](turned)], axis=1)
     if _DEMONSTRATION not in table.names:
         return [_demonstration(table, "0", np.arange(len(table)), times, poses)]
-    rows: defaultdict[str, list[int]] = defaultdict(list)
-    for index, name in enumerate(table.column(_DEMONSTRATION)):
-        rows[name].append(index)
-    return [_demonstration(table, name, np.array(own), times[own], poses[own]) for name, own in rows.items()]
+    rows = rows_by_text(table.column(_DEMONSTRATION))
+    return [_demonstration(table, name, own, times[own], poses[own]) for name, own in rows.items()]
+
+
+def rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the rows that hold each text of a column, both in the order in which they appear."""
+    numbered = {text: number for number, text in enumerate(dict.fromkeys(column))}
+    label = np.array([numbered[text] for text in column])
+    order = np.argsort(label, kind="stable")
+    parts = np.split(order, np.searchsorted(label[order], np.arange(1, len(numbered))))
+    return dict(zip(numbered, parts, strict=True))
 
 
 def write_csv(path: Path, demonstrations: Sequence[Demonstration], rotation: Rotation = "quaternion") -> None:

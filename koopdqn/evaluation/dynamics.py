@@ -2,6 +2,7 @@
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
@@ -28,6 +29,7 @@ class Execution:
     Attributes:
         tracking_error_mm: (S,) distance [mm] of the flange from the commanded position at the same moment, after
             every physics step of the motion.
+        rotation_error_deg: (S,) angle [deg] of the flange to the commanded orientation at the same moments.
         speed_ratio: largest joint speed over that joint's limit.
         torque_ratio: largest joint torque over that joint's limit: what the actuator gives and what
             compensates gravity, as the motor of the real joint supplies both.
@@ -40,6 +42,7 @@ class Execution:
     """
 
     tracking_error_mm: Array
+    rotation_error_deg: Array
     speed_ratio: float
     torque_ratio: float
     contact_steps: int
@@ -73,8 +76,12 @@ def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
     return play(workcell, joints, time_scale * workcell.reachability.durations(joints))
 
 
-def play(workcell: Workcell, joints: Array, durations: Array) -> Execution:
+def play(
+    workcell: Workcell, joints: Array, durations: Array, received: Callable[[Array], Array] = lambda sent: sent
+) -> Execution:
     """Play joint angles (T, 6) [rad] whose steps take ``durations`` (T − 1,) [s], as :func:`execute` does.
+
+    ``received`` gives what the arm gets of the set points (S + 1, 6) [rad] that are sent to it.
 
     Raises:
         BadInputError: the path has fewer than two rows, or an actuator is no position actuator.
@@ -85,7 +92,7 @@ def play(workcell: Workcell, joints: Array, durations: Array) -> Execution:
     scene.data = mujoco.MjData(scene.model)
     seconds = float(scene.model.opt.timestep)
     commanded, speed = _set_points(joints, durations, seconds)
-    led = commanded + _lag(scene) * speed
+    led = received(commanded + _lag(scene) * speed)
     made, speeds, torques = (np.empty((len(led) - 1, joints.shape[1])) for _ in range(3))
     touched: list[str] = []
     first = len(made)
@@ -102,9 +109,10 @@ def play(workcell: Workcell, joints: Array, durations: Array) -> Execution:
     data.ctrl[scene.actuator_index] = joints[-1]
     mujoco.mj_step(scene.model, data, nstep=math.ceil(REST_SECONDS / seconds))
     at_rest = arm.forward(data.qpos[scene.joint_index])
-    error = pose.position_distance(arm.forward(made), arm.forward(commanded[1:]))
+    reached, wanted = arm.forward(made), arm.forward(commanded[1:])
     return Execution(
-        tracking_error_mm=error * _MILLIMETRES,
+        tracking_error_mm=pose.position_distance(reached, wanted) * _MILLIMETRES,
+        rotation_error_deg=np.degrees(pose.rotation_distance(reached, wanted)),
         speed_ratio=float((np.abs(speeds) / np.array(arm.velocity_limits)).max()),
         torque_ratio=float((np.abs(torques) / np.array(arm.torque_limits)).max()),
         contact_steps=len(touched),

@@ -9,11 +9,14 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.evaluation.baselines import baseline_episodes
-from koopdqn.evaluation.dynamics import execute, summarise
+from koopdqn.evaluation.dynamics import play, summarise
 from koopdqn.evaluation.metrics import hausdorff_mm, measure, reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, HoldoutReport, MethodReport
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
+from koopdqn.safety.guard import Guard, GuardSettings
+from koopdqn.safety.schema import separation_report
+from koopdqn.safety.separation import separation
 from koopdqn.settings import Count, Settings
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.workcell import Workcell
@@ -85,6 +88,7 @@ def evaluate(
     step_limit: int,
     advance: Callable[[int], None] = lambda units: None,
     held_out: list[Array] | None = None,
+    guard: GuardSettings | None = None,
 ) -> Evaluation:
     """Measure a policy on held-out starts. The policy alone acts: no intent model, oracle, mask or look-ahead.
 
@@ -98,6 +102,7 @@ def evaluate(
         advance: told the units of work just done, of :func:`work_units`.
         held_out: for a task made from demonstrations, those kept for evaluation, poses (N, 7) at the agent's step;
             they are then the only references, and drawn starts count for success. None otherwise.
+        guard: what the guard allows of the paths that are executed in dynamics; None executes them unguarded.
 
     Raises:
         BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
@@ -124,7 +129,7 @@ def evaluate(
         start_scale=settings.start_scale,
         redrawn_starts=redrawn,
         step_limit=step_limit,
-        dynamics=_dynamics(workcell, episodes, settings, advance) if settings.dynamics else None,
+        dynamics=_dynamics(workcell, reward, episodes, settings, guard, advance) if settings.dynamics else None,
         baselines=Baselines(**baselines) if settings.baselines else None,
         holdout=holdout,
         **dict(_measured(workcell, reward, episodes, references)),
@@ -140,15 +145,35 @@ def _measured(
 
 
 def _dynamics(
-    workcell: Workcell, episodes: list[Episode], settings: EvaluationSettings, advance: Callable[[int], None]
+    workcell: Workcell,
+    reward: IntentReward,
+    episodes: list[Episode],
+    settings: EvaluationSettings,
+    guard: GuardSettings | None,
+    advance: Callable[[int], None],
 ) -> DynamicsReport:
     chosen = [episode for episode in episodes if episode.outcome == SUCCESS][: settings.dynamics_episodes]
-    executions = []
+    keeper = None if guard is None else Guard(workcell, guard, reward.trust, reward.model.start_frame)
+    executions, near = [], []
     for episode in chosen:
-        executions.append(execute(workcell, episode.joints, settings.time_scale))
+        joints, durations = episode.joints, settings.time_scale * workcell.reachability.durations(episode.joints)
+        if keeper and (refusal := keeper.review(episode.poses, joints)):
+            joints = joints[: refusal.step + 1]
+            durations = keeper.durations(joints, settings.time_scale)
         advance(1)
+        if len(joints) < 2:
+            continue
+        executions.append(play(workcell, joints, durations))
+        if guard and guard.person:
+            times = np.concatenate([[0.0], np.cumsum(durations)])
+            found = separation(workcell.scene, joints, times, guard.person)
+            near.append(separation_report(found, times.tolist()))
     advance(settings.dynamics_episodes - len(chosen))
-    return summarise(executions, settings.time_scale, workcell.arm.step_seconds)
+    report = summarise(executions, settings.time_scale, workcell.arm.step_seconds)
+    refused = keeper.report() if keeper else None
+    return report.model_copy(
+        update={"guard": refused, "separation": min(near, key=lambda each: each.margin_m, default=None)}
+    )
 
 
 def _holdout(

@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from koopdqn.safety.schema import GuardReport, SeparationReport
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 
@@ -122,6 +123,10 @@ class DynamicsReport(ReportModel):
     )
     contacts: Contacts = Field(description="contacts on the way")
     sag_mm: Summary = Field(description="distance of the flange from the path's end after half a second at rest [mm]")
+    guard: GuardReport | None = Field(default=None, description="what the guard refused; null without one")
+    separation: SeparationReport | None = Field(
+        default=None, description="the path nearest to the person, where it lacks most; null without `guard.person`"
+    )
 
 
 class Baselines(ReportModel):

@@ -13,6 +13,7 @@ from koopdqn.programs.settings import NOMINAL, ProgramSettings
 from koopdqn.programs.smoothing import smoothed
 from koopdqn.programs.timing import Limits, Motion, timed
 from koopdqn.robot.arm import Arm
+from koopdqn.safety.guard import Guard
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
@@ -49,6 +50,7 @@ def make_program(
     settings: ProgramSettings,
     step_limit: int,
     placement: Placement | None = None,
+    guard: Guard | None = None,
 ) -> Program:
     """Return the program of a policy's path from ``settings.start``.
 
@@ -58,6 +60,7 @@ def make_program(
         settings: how it is made and what limits it keeps.
         step_limit: steps within which the goal must be reached.
         placement: how demonstrations were moved before they were learned; the program is made where they were recorded.
+        guard: refuses steps of the learned path; None refuses only what the arm cannot do.
 
     Raises:
         BadInputError: the start given has a quaternion not of unit length, or a joint beyond its range.
@@ -72,7 +75,7 @@ def make_program(
         settings.tool_speed_m_s,
     )
     start, joints = _start(workcell, settings, placement)
-    episode = _learned(workcell, policy, start, joints, step_limit, placement)
+    episode = _learned(workcell, policy, start, joints, step_limit, placement, guard)
     learned = episode.poses if placement is None else placement.restored(episode.poses)
     smooth = smoothed(learned, settings.tolerance_m, settings.tolerance_rad)
     followed = _followed(workcell, smooth, joints)
@@ -117,6 +120,7 @@ def _learned(
     joints: Array | None,
     step_limit: int,
     placement: Placement | None,
+    guard: Guard | None,
 ) -> Episode:
     """Return the policy's episode from a start in the program's frame; it must succeed."""
     reachability = workcell.reachability
@@ -130,7 +134,11 @@ def _learned(
         joints = motion.joints
     elif contact := workcell.scene.contact(joints):
         raise WorkFailedError(f"the start at {_place(start)} must be free, found {contact} in contact")
-    episode = roll_out(policy, workcell.task, reachability, start[None], joints[None], step_limit)[0]
+    begin = start[None], joints[None]
+    if guard is None:
+        episode = roll_out(policy, workcell.task, reachability, *begin, step_limit)[0]
+    else:
+        episode = guard.roll_out(policy, *begin, step_limit)[0]
     if episode.outcome != SUCCESS:
         detail = f" ({episode.detail})" if episode.detail else ""
         raise WorkFailedError(

@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from koopdqn.safety.schema import SeparationReport
 from koopdqn.schema import ReportModel, Sha256
 
 
@@ -45,6 +46,9 @@ class ProgramFile(ReportModel):
     smoothing_deg: float = Field(ge=0, description="most that it turned one [deg]")
     limits_used: LimitsUsed = Field(description="share of each limit that the fastest sample uses")
     dynamics: ProgramDynamics = Field(description="the program played in MuJoCo's dynamics")
+    separation: SeparationReport | None = Field(
+        default=None, description="distance to the person where it lacks most; null without `guard.person`"
+    )
     files: dict[str, str] = Field(description="the file of each format")
 
 

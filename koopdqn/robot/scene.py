@@ -164,6 +164,15 @@ class Scene:
             body = int(self.model.body_parentid[body])
         return length
 
+    def link_points(self, joints: Array) -> Array:
+        """Return where the bodies of the arm begin (B, 3) [m], from the base to the flange, at joint angles (6,)."""
+        self.place(joints)
+        body, points = int(self.model.site_bodyid[self._site]), [self.data.site_xpos[self._site].copy()]
+        while body:
+            points.append(self.data.xpos[body].copy())
+            body = int(self.model.body_parentid[body])
+        return np.array(points[::-1])
+
     def place(self, joints: Array) -> None:
         """Set the arm to joint angles (6,) [rad] and update where everything is."""
         self._qpos[self._joints] = joints

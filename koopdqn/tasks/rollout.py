@@ -10,7 +10,7 @@ from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import reached_poses
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.workcell import REASONS, Reachability
+from koopdqn.tasks.workcell import REASONS, Motion, Reachability
 
 SUCCESS: Final = "success"
 STEP_LIMIT: Final = "step_limit"
@@ -24,6 +24,10 @@ _SAME_PLACE: Final = 1e-7
 
 Controller = Callable[[Array, Array], np.ndarray]
 """Chooses the actions (N,) from poses (N, 7) of episodes that began at starts (N, 7)."""
+
+Moves = Callable[[Array, Array, Array, Array, np.ndarray], list[Motion]]
+"""What becomes of a step to poses (N, 7), from poses (N, 7) with joints (N, 6), of episodes that began at starts (N, 7)
+and made (N,) steps."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +61,14 @@ def roll_out(
     limit: int,
     *,
     cut_circles: bool = False,
+    moves: Moves | None = None,
 ) -> list[Episode]:
     """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
 
     An action that the arm cannot carry out ends its episode as a failure. So does one that leaves the pose unchanged: a
     controller without memory would repeat it until the limit. With ``cut_circles`` an episode that returns to one of
-    its poses ends there as a step limit, since it would go round in a circle until the limit.
+    its poses ends there as a step limit, since it would go round in a circle until the limit. ``moves`` decides which
+    steps are made; None makes those that the arm can make.
     """
     seen: list[set[bytes]] = [set() for _ in starts]
     runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
@@ -73,7 +79,7 @@ def roll_out(
         poses = np.array([runs[i].poses[-1] for i in active])
         actions = controller(poses, starts[active])
         reached = reached_poses(poses, task)[np.arange(len(active)), actions]
-        _advance([runs[i] for i in active], reached, task, reachability)
+        _advance([runs[i] for i in active], reached, task, reachability, moves)
         if cut_circles:
             places = np.round(np.array([runs[i].poses[-1] for i in active]) / _SAME_PLACE).astype(np.int64)
             for i, row in zip(active, places, strict=True):
@@ -105,10 +111,17 @@ class _Run:
         return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail)
 
 
-def _advance(runs: list[_Run], reached: Array, task: Task, reachability: Reachability) -> None:
+def _advance(
+    runs: list[_Run], reached: Array, task: Task, reachability: Reachability, moves: Moves | None = None
+) -> None:
     """Move runs one step to the reached poses (N, 7), and set the outcome of those that end."""
-    motions = reachability.move_batch(reached, np.array([run.joints[-1] for run in runs]))
+    joints = np.array([run.joints[-1] for run in runs])
     before = np.array([run.poses[-1] for run in runs])
+    if moves is None:
+        motions = reachability.move_batch(reached, joints)
+    else:
+        starts, steps = np.array([run.poses[0] for run in runs]), np.array([len(run.poses) - 1 for run in runs])
+        motions = moves(reached, before, joints, starts, steps)
     stuck = pose.position_distance(reached, before) == 0
     if stuck.any():
         stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) == 0

@@ -23,6 +23,7 @@ from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.robot.arm import Arm
+from koopdqn.safety.guard import GuardSettings
 from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
@@ -77,6 +78,7 @@ class Configuration:
     export: ExportSettings
     program: ProgramSettings
     stream: StreamSettings
+    guard: GuardSettings
     derived: Derived | None = None
 
     @property

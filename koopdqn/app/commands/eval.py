@@ -70,6 +70,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             step_limit,
             stage.advance,
             pipeline.held_out_of(config),
+            config.guard,
         )
     content = {**evaluation.report, "run": str(source)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
@@ -81,6 +82,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
         table(report),
+        *_guarded(report["dynamics"]),
         *([_holdout_table(report)] if report["holdout"] else []),
         f"report          {console.shown_path(folder / 'eval.json')}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
@@ -92,6 +94,26 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         if (source / file).exists():
             lines.append(f"{name:<14}  {console.shown_path(source / file)}")
     return CommandResult(report, lines, objective=report["success_rate"])
+
+
+def _guarded(dynamics: dict[str, Any] | None) -> list[RenderableType]:
+    """Return lines on what the guard stopped and on the person near the arm, if there is anything to say."""
+    if dynamics is None:
+        return []
+    lines: list[RenderableType] = []
+    if dynamics["guard"] and dynamics["guard"]["stopped"]:
+        lines.append(f"guard           {dynamics['guard']['stopped']} stopped; {dynamics['guard']['first']}")
+    if near := dynamics["separation"]:
+        lines.append(near_person(near))
+    return lines
+
+
+def near_person(near: dict[str, Any]) -> str:
+    """Return one line on the distance to the person where it lacks most."""
+    return (
+        f"person          {near['distance_m']:.3f} m off where your parameters ask for {near['required_m']:.3f} m,"
+        f" kept at {near['kept_fraction']:.0%} of the path"
+    )
 
 
 def _film(

@@ -23,7 +23,8 @@ from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 
 _TRIED: Final = 1000
-"""Of so many poses of a demonstration it is tried whether the arm reaches them."""
+"""Of so many poses of a demonstration it is tried whether the arm reaches them; of fewer if that were many in all."""
+_TRIED_IN_ALL: Final = 50_000
 _MOST_SHOWN: Final = 100
 """Demonstrations in the table."""
 
@@ -93,9 +94,9 @@ def _motions(each: Loaded) -> RenderableType:
     )
 
 
-def _reachable(config: Configuration, poses: Array) -> bool:
-    """Return whether the arm reaches poses (N, 7): at most :data:`_TRIED` of them, evenly spread."""
-    some = poses[np.unique(np.linspace(0, len(poses) - 1, _TRIED).astype(int))]
+def _reachable(config: Configuration, poses: Array, tried: int) -> bool:
+    """Return whether the arm reaches poses (N, 7): at most ``tried`` of them, evenly spread."""
+    some = poses[np.unique(np.linspace(0, len(poses) - 1, tried).astype(int))]
     return not np.isnan(config.robot.inverse_batch(some, np.tile(config.robot.home, (len(some), 1)))).any()
 
 
@@ -104,7 +105,8 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
     read, demonstrations = read_and_cut(config, "import")
     name, path = config.chosen.name, folder / DEMONSTRATIONS
     cut = trim_idle_each(demonstrations.items)
-    reachable = [_reachable(config, each.item.poses) for each in cut]
+    tried = min(_TRIED, max(2, _TRIED_IN_ALL // len(cut)))
+    reachable = [_reachable(config, each.item.poses, tried) for each in cut]
     lengths = [float(arc_lengths(each.item.poses[:, pose.POSITION])[-1]) for each in cut]
     turns = [float(pose.rotation_distance(each.item.poses[0], each.item.poses[-1])) for each in cut]
     samples = [len(item) for item in demonstrations.items]

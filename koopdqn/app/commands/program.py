@@ -9,7 +9,7 @@ import numpy as np
 from koopdqn import console, pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.eval import near_person, step_limit_of
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.train import REPORT
 from koopdqn.app.result import CommandResult
@@ -17,6 +17,7 @@ from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
+from koopdqn.intent.storage import read_intent
 from koopdqn.paths import arc_lengths
 from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
@@ -26,7 +27,11 @@ from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.urscript import write_movep, write_servoj
 from koopdqn.robot.ur import URArm
+from koopdqn.safety.guard import Guard
+from koopdqn.safety.schema import SeparationReport, separation_report
+from koopdqn.safety.separation import separation
 from koopdqn.tasks.demonstrated import DemonstratedTask
+from koopdqn.tasks.workcell import Workcell
 
 REPORT_NAME = "program.json"
 _OF_THE_FAMILY = ("urscript", "rtde")
@@ -41,13 +46,14 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
     """
     settings = config.program
     _check_formats(config)
-    program = program_of(config, run)
+    workcell = pipeline.open_scene(config)
+    program = program_of(config, run, workcell)
     files: dict[str, str] = {}
     for name in settings.formats:
         file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
         write(folder / file, program)
         files[name] = file
-    report = _report(program, files, run / POLICY, settings).model_dump(mode="json")
+    report = _report(program, files, run / POLICY, settings, _near(workcell, program, config)).model_dump(mode="json")
     write_json(folder / REPORT_NAME, report)
     used, dynamics = report["limits_used"], report["dynamics"]
     lines = [
@@ -57,26 +63,28 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         f" jerk {used['joint_jerk']:.0%}, tool speed {used['tool_speed']:.0%}",
         f"in dynamics     nothing touches, {dynamics['tracking_error_mm']:.2f} mm off at most,"
         f" {dynamics['peak_joint_torque_ratio']:.0%} of the torque",
+        *([near_person(report["separation"])] if report["separation"] else []),
         *(f"{name:<14}  {console.shown_path(folder / file)}" for name, file in files.items()),
         f"report          {console.shown_path(folder / REPORT_NAME)}",
     ]
     return CommandResult(report, lines)
 
 
-def program_of(config: Configuration, run: Path) -> Program:
+def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
     """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it."""
     from koopdqn.rl.policy import read_policy
 
     settings = config.program
     policy, _ = read_policy(run / POLICY, config.task)
     step_limit = step_limit_of(run / REPORT)
-    workcell = pipeline.open_scene(config)
     placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
     if placement is not None:
         console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
     if isinstance(config.task, DemonstratedTask):
         console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
-    return make_program(workcell, policy, settings, step_limit, placement)
+    intent = read_intent(run / pipeline.INTENT, config.task)
+    guard = Guard(workcell, config.guard, intent.trust, intent.model.start_frame)
+    return make_program(workcell, policy, settings, step_limit, placement, guard)
 
 
 def _check_formats(config: Configuration) -> None:
@@ -107,7 +115,17 @@ _WRITERS: dict[str, tuple[str, Callable[[Path, Program], None]]] = {
 """File name and writer of each format, and of the other kind of URScript."""
 
 
-def _report(program: Program, files: dict[str, str], policy: Path, settings: ProgramSettings) -> ProgramFile:
+def _near(workcell: Workcell, program: Program, config: Configuration) -> SeparationReport | None:
+    if config.guard.person is None:
+        return None
+    motion = program.motion
+    found = separation(workcell.scene, motion.joints, motion.times, config.guard.person)
+    return separation_report(found, motion.times.tolist())
+
+
+def _report(
+    program: Program, files: dict[str, str], policy: Path, settings: ProgramSettings, near: SeparationReport | None
+) -> ProgramFile:
     motion, made = program.motion, program.execution
     used = {name: float(shares.max()) for name, shares in motion.used(program.limits).items()}
     turned = pose.rotation_distance(program.smooth, program.learned)
@@ -137,5 +155,6 @@ def _report(program: Program, files: dict[str, str], policy: Path, settings: Pro
             peak_joint_torque_ratio=made.torque_ratio,
             sag_mm=made.sag_mm,
         ),
+        separation=near,
         files=files,
     )

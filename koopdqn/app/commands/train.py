@@ -32,6 +32,7 @@ from koopdqn.settings import shown
 from koopdqn.view.dashboard import Dashboard, fits
 
 REPORT = "train.json"
+BEGUN = "begun.json"
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -39,6 +40,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     began = monotonic()
     config.oracle.check()
     _check_threads(config)
+    _check_begun(config, folder)
     check_memory(config.agent, size(config.task))
     check_device(config.agent)
     workcell = pipeline.open_scene(config)
@@ -101,6 +103,24 @@ def _check_threads(config: Configuration) -> None:
         raise BadInputError(
             f"train.threads: must be that of the run whose journal is given again ({shown(recorded)}, {report}), found"
             f" {config.train.threads}: sums in another order lead to other questions"
+        )
+
+
+def _check_begun(config: Configuration, folder: Path) -> None:
+    """Raise if the folder's run was begun with another number of threads; a new run writes its own down.
+
+    A checkpoint says it too, but intent and answers may stand in the folder before the first one.
+    """
+    path = folder / BEGUN
+    if not path.exists():
+        write_json(path, {"threads": config.train.threads})
+        return
+    content = read_json(path, "what the run was begun with")
+    recorded = content.get("threads") if isinstance(content, dict) else None
+    if isinstance(recorded, bool) or recorded != config.train.threads:
+        raise BadInputError(
+            f"train.threads: must be {shown(recorded)}, with which the run in {folder} was begun, found"
+            f" {config.train.threads}: sums in another order end in other bits"
         )
 
 

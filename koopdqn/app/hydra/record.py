@@ -19,7 +19,7 @@ GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot"
 """The config groups."""
 SECTIONS: Final = (
     *("import", "inspect", "demo", "fit", "reward", "feedback", "train", "eval", "report"),
-    *("export", "program", "stream", "view", "explain", "compare"),
+    *("export", "program", "stream", "guard", "view", "explain", "compare"),
 )
 """The root's keys that hold keys."""
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
@@ -31,8 +31,8 @@ PATH_NAMES: Final = (
 
 # What says where this run lies and whom its user trusts is for the present command line to say.
 _OF_THE_COMMAND: Final = (
-    *("command", "out", "run", "trust_modules", "inspect", "report", "export", "program", "stream", "view"),
-    *("explain", "compare"),
+    *("command", "out", "run", "trust_modules", "inspect", "report", "export", "program", "stream", "guard"),
+    *("view", "explain", "compare"),
 )
 _LARGEST: Final = 64 * 1024
 _MOST: Final = 1000

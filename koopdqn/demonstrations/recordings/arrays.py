@@ -60,7 +60,8 @@ def _array(path: Path, name: str, file: Any) -> Array:
     if dtype.kind not in "fiub" or len(shape) not in (0, 1, 2, 3):
         return np.zeros(0)
     count = int(np.prod(shape, dtype=object))
-    check_size(path, count * dtype.itemsize)
+    # As they are read, numbers of one byte take eight.
+    check_size(path, 8 * count)
     content = file.read(count * dtype.itemsize)
     values = np.frombuffer(content, dtype=dtype, count=count)
     shaped = values.reshape(shape[::-1]).T if fortran else values.reshape(shape)

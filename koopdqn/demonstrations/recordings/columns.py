@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from koopdqn.demonstrations.csv import rows_by_text
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.layout import layout_of
 from koopdqn.demonstrations.recordings.poses import PoseColumns
@@ -82,9 +83,8 @@ def _tool(values: Array) -> Array | None:
 
 
 def _apart(whole: Recording, texts: Sequence[str]) -> list[Recording]:
-    names, label = np.unique(np.array(texts), return_inverse=True)
-    first = [int(np.flatnonzero(label == index)[0]) for index in range(len(names))]
-    return [part_of(whole, np.flatnonzero(label == index), f"demo {names[index]}") for index in np.argsort(first)]
+    """Return the rows of each text, in the order in which the texts first appear."""
+    return [part_of(whole, rows, f"demo {text}") for text, rows in rows_by_text(texts).items()]
 
 
 def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:

@@ -62,13 +62,16 @@ def motions_of(item: Demonstration) -> list[Cut]:
     begins = item.poses[[begin for begin, _ in spans], pose.POSITION]
     way = float(np.median(np.linalg.norm(ends - begins, axis=1)))
     kept = np.linalg.norm(ends - ends[0], axis=1) <= max(_SAME_END * way, _LEAST_M)
-    return [Cut(_part(item, *span), *span, bool(keep), why) for span, keep in zip(spans, kept, strict=True)]
+    return [cut_between(item, *span, bool(keep), why) for span, keep in zip(spans, kept, strict=True)]
 
 
-def _part(item: Demonstration, begin: int, end: int) -> Demonstration:
+def cut_between(item: Demonstration, begin: int, end: int, kept: bool, why: str) -> Cut:
+    """Return the motion from one row to another; its clock begins at 0, unless it is all of the recording."""
+    if (begin, end) == (0, len(item) - 1):
+        return Cut(item, begin, end, kept, why)
     joints = None if item.joints is None else item.joints[begin : end + 1]
     times = item.times[begin : end + 1]
-    return Demonstration(times - times[0], item.poses[begin : end + 1], joints)
+    return Cut(Demonstration(times - times[0], item.poses[begin : end + 1], joints), begin, end, kept, why)
 
 
 def _between_rests(item: Demonstration) -> list[tuple[int, int]]:

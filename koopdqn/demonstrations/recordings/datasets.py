@@ -51,7 +51,7 @@ def _bytes_of(file: h5py.File) -> int:
     def add(_: str, each: Any) -> None:
         nonlocal total
         if isinstance(each, h5py.Dataset) and _is_numbers(each):
-            total += int(np.prod(each.shape, dtype=object)) * each.dtype.itemsize
+            total += 8 * int(np.prod(each.shape, dtype=object))
 
     file.visititems(add)
     return total
@@ -109,15 +109,11 @@ def read_parquet(path: Path, declared: ImportSettings) -> list[Recording]:
     """Return the recordings of a Parquet file, or of all of a LeRobot data set.
 
     Raises:
-        BadInputError: the extra ``lerobot`` is missing, the file is damaged or too large, or it has no poses.
+        BadInputError: the file is damaged or too large, or it has no poses.
     """
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ImportError as error:
-        raise BadInputError(
-            f"demos {path}: must be read with pyarrow, found none; python -m pip install 'koopdqn[lerobot]' brings it"
-        ) from error
+    import pyarrow
+    from pyarrow import parquet
+
     files = sorted(path.glob("data/**/*.parquet")) if path.is_dir() else [path]
     if not files:
         raise BadInputError(f"demos {path}: must hold data/**/*.parquet, found none")
@@ -127,9 +123,13 @@ def read_parquet(path: Path, declared: ImportSettings) -> list[Recording]:
         try:
             source = parquet.ParquetFile(each)
             meta = source.metadata
-            total += sum(meta.row_group(index).total_byte_size for index in range(meta.num_row_groups))
+            # What repeats takes few bytes in the file and many when it is read.
+            total += max(
+                sum(meta.row_group(index).total_byte_size for index in range(meta.num_row_groups)),
+                8 * meta.num_rows * meta.num_columns,
+            )
             check_size(path, total)
-            found += _recordings(each, source.read(), info, declared)
+            found += _recordings(each, source.read(use_threads=False), info, declared)
         except (pyarrow.ArrowException, OSError) as error:
             raise BadInputError(f"demos {each}: must be an intact Parquet file, found: {error}") from error
     return found
@@ -150,6 +150,7 @@ def _info(path: Path) -> dict[str, Any]:
 
 def _recordings(path: Path, table: Any, info: dict[str, Any], declared: ImportSettings) -> list[Recording]:
     import pyarrow
+    import pyarrow.compute
 
     names: list[str] = []
     parts: list[np.ndarray] = []
@@ -159,12 +160,14 @@ def _recordings(path: Path, table: Any, info: dict[str, Any], declared: ImportSe
         if pyarrow.types.is_list(kind) or pyarrow.types.is_fixed_size_list(kind):
             if name not in (_STATE,) and _STATE in table.column_names:
                 continue
-            values = np.array(column.to_pylist(), dtype=float)
-            if values.ndim != 2:
+            lengths = np.unique(pyarrow.compute.list_value_length(column).to_numpy(zero_copy_only=False))
+            if len(lengths) != 1 or not (lengths[0] > 0 and _is_number(kind.value_type)):
                 continue
+            values = np.asarray(column.flatten().to_numpy(zero_copy_only=False), dtype=float)
+            values = values.reshape(len(column), int(lengths[0]))
             names += _state_names(name, values.shape[1], info)
             parts.append(values)
-        elif pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind):
+        elif _is_number(kind):
             names.append(name)
             parts.append(np.asarray(column.to_numpy(zero_copy_only=False), dtype=float)[:, None])
     if not parts:
@@ -173,6 +176,12 @@ def _recordings(path: Path, table: Any, info: dict[str, Any], declared: ImportSe
     reason = "a LeRobot data set" if info else "Parquet"
     stated = Recording(str(path), rate_hz=float(fps) if isinstance(fps, int | float) else None, reasons=(reason,))
     return recordings_of(ArrayColumns(str(path), tuple(names), np.hstack(parts)), declared, stated)
+
+
+def _is_number(kind: Any) -> bool:
+    import pyarrow
+
+    return bool(pyarrow.types.is_integer(kind) or pyarrow.types.is_floating(kind))
 
 
 def _state_names(name: str, count: int, info: dict[str, Any]) -> list[str]:

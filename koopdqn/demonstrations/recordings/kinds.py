@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Final
 
@@ -20,19 +21,42 @@ class Kind:
         name: for people.
         recognise: why a file is of this kind, or None.
         read: its recordings.
+        library: the module that reads it, or None.
+        extra: the extra of koopdqn that brings the library, or an empty text.
     """
 
     name: str
     recognise: Callable[[Path], str | None]
     read: Callable[[Path, ImportSettings, Arm | None], list[Recording]]
+    library: str | None = None
+    extra: str = ""
+
+    def load_library(self, path: Path) -> None:
+        """Import the library, for the file in the message; BadInputError if its extra is missing."""
+        if self.library is None:
+            return
+        try:
+            import_module(self.library)
+        except ImportError as error:
+            name = self.library.partition(".")[0]
+            raise BadInputError(
+                f"demos {path}: must be read with {name}, found none; python -m pip install 'koopdqn[{self.extra}]'"
+                " brings it"
+            ) from error
 
 
 KINDS: Final = (
-    Kind("ROS bag", ros.recognise, ros.read),
+    Kind("ROS bag", ros.recognise, ros.read, "rosbags.highlevel", "ros"),
     Kind("HDF5", datasets.recognise_hdf5, lambda path, declared, _: datasets.read_hdf5(path, declared)),
-    Kind("Parquet", datasets.recognise_parquet, lambda path, declared, _: datasets.read_parquet(path, declared)),
+    Kind(
+        "Parquet",
+        datasets.recognise_parquet,
+        lambda path, declared, _: datasets.read_parquet(path, declared),
+        "pyarrow.parquet",
+        "lerobot",
+    ),
     Kind("NumPy", arrays.recognise_numpy, lambda path, declared, _: arrays.read_numpy(path, declared)),
-    Kind("MATLAB", arrays.recognise_matlab, lambda path, declared, _: arrays.read_matlab(path, declared)),
+    Kind("MATLAB", arrays.recognise_matlab, lambda path, declared, _: arrays.read_matlab(path, declared), "scipy.io"),
     Kind("text", text.recognise, lambda path, declared, _: text.read(path, declared)),
 )
 """The kinds, text last: it is what no other is."""

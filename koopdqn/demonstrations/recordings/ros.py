@@ -16,7 +16,7 @@ _MCAP: Final = b"\x89MCAP0\r\n"
 _SQLITE: Final = b"SQLite format 3\x00"
 LARGEST_BYTES: Final = 1 << 32
 """The largest bag that is read."""
-MOST_MESSAGES: Final = 5_000_000
+MOST_MESSAGES: Final = 2_000_000
 """The most poses that are read from one."""
 _SETS: Final = ("/PoseStamped", "/Pose", "/PoseWithCovarianceStamped", "/TransformStamped", "/Odometry", "/TFMessage")
 _JOINTS: Final = "/JointState"
@@ -39,15 +39,11 @@ def read(path: Path, declared: ImportSettings, arm: Arm | None) -> list[Recordin
     """Return the recording of the one pose that a bag holds or ``import.pose`` names; else that of its joints.
 
     Raises:
-        BadInputError: the extra ``ros`` is missing, the bag is damaged or too large, or holds no pose, or several.
+        BadInputError: the bag is damaged or too large, or holds no pose, or several.
     """
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise BadInputError(
-            f"demos {path}: must be read with rosbags, found none; python -m pip install 'koopdqn[ros]' brings it"
-        ) from error
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
     size = sum(each.stat().st_size for each in ([path] if path.is_file() else path.iterdir()))
     if size > LARGEST_BYTES:
         raise BadInputError(f"demos {path}: must be at most {LARGEST_BYTES >> 20} MiB, found {size >> 20} MiB")

@@ -17,7 +17,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import shown
 
-LARGEST_BYTES: Final = 1 << 30
+LARGEST_BYTES: Final = 1 << 28
 """The largest text file that is read."""
 # A comma last: where another separates, it is a decimal one.
 _DELIMITERS: Final = (";", "\t", "|", ",")
@@ -106,7 +106,11 @@ class TextColumns:
 
     def texts(self, column: int) -> list[str]:
         """Return the texts of a column."""
-        return [_split(row, self.delimiter)[column] for row in self.rows]
+        cells = [_cell(row, self.delimiter, column) for row in self.rows]
+        if None in cells:
+            line = self.lines[cells.index(None)]
+            raise BadInputError(f"demos {self.where}: line {line}: must have a cell {self.names[column]}, found none")
+        return [cell for cell in cells if cell is not None]
 
     def _odd_cell(self, columns: tuple[int, ...]) -> BadInputError:
         """Return the error that names the first cell that is no finite number."""
@@ -189,6 +193,12 @@ def _split(row: str, delimiter: str | None) -> list[str]:
     if '"' not in row:
         return [cell.strip() for cell in row.split(delimiter)]
     return [cell.strip() for cell in next(csv.reader(StringIO(row), delimiter=delimiter, skipinitialspace=True))]
+
+
+def _cell(row: str, delimiter: str | None, column: int) -> str | None:
+    """Return one cell of a row, or None if the row is shorter; the cells behind it are not looked at."""
+    cells = _split(row, delimiter) if '"' in row else row.split(delimiter, column + 1)
+    return cells[column].strip() if column < len(cells) else None
 
 
 def _trimmed(cells: list[str]) -> list[str]:

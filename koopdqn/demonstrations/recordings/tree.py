@@ -8,6 +8,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from koopdqn.confined import MOST_BYTES
 from koopdqn.demonstrations.recordings.columns import recordings_of, unnamed
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
@@ -17,7 +18,7 @@ from koopdqn.pose import Array
 Tree: TypeAlias = Mapping[str, Any]
 """Arrays, and trees of them, by name."""
 
-LARGEST_BYTES: Final = 1 << 30
+LARGEST_BYTES: Final = MOST_BYTES
 """The most that is read from one file."""
 # A table of poses has no more columns than an array may have to be one.
 _WIDEST: Final = 64
