@@ -19,6 +19,7 @@ from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
+from koopdqn.resources import asset_path
 from koopdqn.schema import ReportModel
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -125,15 +126,26 @@ def test_a_command_shown_composes_to_a_valid_config(
     if command == "doctor":
         assert arguments == []
         return
+    if line == ["compare"]:
+        # Without runs to compare it is a name and no command to type.
+        return
     if command == "feedback":
         group = get_command(cli.app).commands["feedback"]  # type: ignore[attr-defined]
         if arguments:
             group.commands[arguments[0]].make_context(arguments[0], arguments[1:])
         return
+    own_arm: list[str] = []
+    for argument in arguments:
+        if argument.startswith("robot.path="):
+            own_arm = ["robot=mjcf", "robot.site=attachment_site"]
+            # Any arm will do that has the site of those shown.
+            path = lab / argument.removeprefix("robot.path=")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(asset_path("ur/ur5e.xml").read_bytes())
     for argument in arguments:
         if argument.startswith("run="):
             made_by = "demo" if command == "demo" else "train"
-            stand_in_run(lab / argument.removeprefix("run="), "task=knife", f"command={made_by}")
+            stand_in_run(lab / argument.removeprefix("run="), "task=knife", f"command={made_by}", *own_arm)
     stand_in_run(lab / "runs" / "shelf" / "newest", "task=shelf", "command=train")
     shown = [] if "--cfg" in arguments else ["--cfg", "job"]
     status = cli.main([command, *arguments, *shown])

@@ -112,7 +112,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     class Made:
         task, arm, motion = "shelf", ARM, MOTION
 
-    monkeypatch.setattr(command, "program_of", lambda config, trained: Made)
+    monkeypatch.setattr(command, "program_of", lambda config, trained, workcell: Made)
     return folder
 
 
