@@ -1,31 +1,89 @@
-"""Draws the pictures of the documentation anew, from one run: `make pictures`."""
+"""Draws the pictures of the documentation anew: `make pictures`, or ``python scripts/pictures.py NAME …`` for some.
 
+Most come from two trainings of the shelf task with seed 0, one of them stopped too early on purpose; a small sweep and
+demonstrations of the knife task are made too. Pictures of pages need Chromium; without it they stay as they are.
+"""
+
+import argparse
+import contextlib
 import io
 import re
+import shutil
+import subprocess
 import sys
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from koopdqn.app.api import fit as fit_intent
-from koopdqn.app.api import generate, intent_reward, load_config, open_workcell
+import PIL.Image
+
+from koopdqn import console
+from koopdqn.app import cli
+from koopdqn.app.api import fit, generate, intent_reward, load_config, open_workcell
 from koopdqn.console import LiteralConsole
+from koopdqn.errors import WorkFailedError
 from koopdqn.files import write_text
 from koopdqn.intent.fit import agent_steps
 from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.plots.workflow import plot_workflow
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.history import Check
 from koopdqn.view.dashboard import Dashboard
 
 IMAGES: Final = Path(__file__).resolve().parents[1] / "docs" / "images"
 SIZES: Final = ((80, 24), (140, 40))
+"""Of the dashboard's terminals, columns and rows."""
+MOST_BYTES: Final = 2_000_000
 _FETCHED: Final = re.compile(r"@font-face \{.*?\}", re.DOTALL)
+_CHROMIUM: Final = ("chromium", "chromium-browser", "google-chrome")
+_FLAGS: Final = ("--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader")
+_SHORT: Final = ("train.check_every=20", "train.max_steps=9000")
+_SWEPT: Final = ("demo.count=3", "train.max_steps=30000", "train.check_every=50", "seed=0,1", "agent.gamma=0.3,0.7")
 
 
-def dashboards(folder: Path) -> None:
-    """Write the dashboard at two sizes, as it stands after the third check of a training."""
+class Runs:
+    """The runs that pictures are of, each made when it is first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make them below a folder."""
+        self.folder = folder
+
+    def learned(self) -> Path:
+        """Return the folder of a finished training of the shelf task."""
+        return self._made("learned", "train", "task=shelf", "seed=0")
+
+    def stopped(self) -> Path:
+        """Return the folder of one from the same demonstrations that was stopped too early."""
+        inputs = (f"demos={self.learned() / 'demos.hdf5'}", f"intent={self.learned() / 'intent.npz'}")
+        return self._made("stopped", "train", "task=shelf", "seed=0", *inputs, *_SHORT)
+
+    def shown(self) -> Path:
+        """Return the folder of demonstrations of the knife task, which turn."""
+        return self._made("shown", "demo", "task=knife", "seed=0")
+
+    def swept(self) -> Path:
+        """Return the folder of a small sweep."""
+        return self._made("swept", "train", "-m", "task=shelf", *_SWEPT)
+
+    def of(self, command: str, *overrides: str) -> Path:
+        """Return the folder of a command that looks at runs."""
+        return self._made(f"{command}{len(list(self.folder.iterdir()))}", command, *overrides)
+
+    def _made(self, name: str, command: str, *overrides: str) -> Path:
+        out = self.folder / name
+        # A training that did not learn is a result as well.
+        well = 1 if command == "train" else 0
+        if not out.exists() and cli.main([command, *overrides, f"out={out}"]) > well:
+            raise WorkFailedError(f"koopdqn {command} {' '.join(overrides)} failed")
+        return out
+
+
+def dashboard(runs: Runs) -> None:
+    """Draw the dashboard at two sizes, as it stands after the third check of a training."""
     config = load_config("task=shelf", "seed=0")
     workcell, shown = open_workcell(config), generate(config)
-    fitted = fit_intent(config, shown)
+    fitted = fit(config, shown)
     trainer = Trainer(
         workcell,
         intent_reward(config, fitted),
@@ -45,11 +103,93 @@ def dashboards(folder: Path) -> None:
                 page.print(board.content())
                 # What is shown fetches nothing.
                 text = _FETCHED.sub("", page.export_svg(title="koopdqn train task=shelf"))
-                write_text(folder / f"dashboard-{page.width}x{page.height}.svg", text)
+                write_text(IMAGES / f"dashboard-{page.width}x{page.height}.svg", text)
 
     trainer.run(on_check)
 
 
+def film(runs: Runs) -> None:
+    """Make the film that the README opens with, and a frame of it."""
+    path = runs.folder / "film.gif"
+    runs.of("view", f"run={runs.learned()}", "view.starts=1", f"video={path}")
+    if path.stat().st_size > MOST_BYTES:
+        raise WorkFailedError(f"the film must take at most {MOST_BYTES} bytes, found {path.stat().st_size}")
+    shutil.copyfile(path, IMAGES / "film.gif")
+    with PIL.Image.open(path) as frames:
+        frames.seek(60)
+        frames.convert("RGB").save(IMAGES / "film.png", optimize=True)
+
+
+def explain(runs: Runs) -> None:
+    """Draw where a path of the run that was stopped too early went wrong."""
+    _copy(runs.of("explain", f"run={runs.stopped()}") / "explain.png")
+
+
+def demos(runs: Runs) -> None:
+    """Draw demonstrations as `koopdqn inspect` sees them."""
+    given = f"demos={runs.shown() / 'demos.hdf5'}"
+    _copy(runs.of("inspect", given) / "inspect.png")
+
+
+def workflow(runs: Runs) -> None:
+    """Draw the algorithm as boxes and arrows."""
+    path = runs.folder / "workflow.png"
+    plot_workflow(path)
+    _copy(path)
+
+
+def sweep(runs: Runs) -> None:
+    """Draw a sweep's spread over seeds."""
+    _copy(runs.of("report", f"sweep={runs.swept()}") / "report" / "sweep.png")
+
+
+def pages(runs: Runs) -> None:
+    """Take pictures of the pages of `koopdqn view` and `koopdqn compare`."""
+    _screenshot(runs.of("view", f"run={runs.learned()}") / "view.html", "view.png")
+    both = (f"run={runs.learned()}", f"run={runs.stopped()}")
+    _screenshot(runs.of("compare", *both, "view.starts=3") / "compare.html", "compare.png")
+
+
+def _copy(picture: Path) -> None:
+    with PIL.Image.open(picture) as shown:
+        shown.convert("RGB").save(IMAGES / picture.name, optimize=True)
+
+
+def _screenshot(page: Path, name: str) -> None:
+    browser = next(filter(None, map(shutil.which, _CHROMIUM)), None)
+    if browser is None:
+        console.warn(f"{name} stays as it is: there is no Chromium here")
+        return
+    # The middle of the first motion tells more than its start.
+    page.write_text(page.read_text(encoding="utf-8") + "<script>view.seek(60)</script>", encoding="utf-8")
+    picture = page.with_name(name).absolute()
+    options = [f"--screenshot={picture}", "--window-size=1280,800", "--virtual-time-budget=20000"]
+    command = [browser, *_FLAGS, "--enable-unsafe-swiftshader", *options, page.resolve().as_uri()]
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    _copy(picture)
+
+
+PICTURES: Final[dict[str, Callable[[Runs], None]]] = {
+    each.__name__: each for each in (dashboard, film, explain, demos, workflow, sweep, pages)
+}
+
+
+def main() -> int:
+    """Draw the pictures that were asked for, or all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help=f"of {', '.join(PICTURES)}; none: all")
+    names = parser.parse_args().names or list(PICTURES)
+    for name in names:
+        if name not in PICTURES:
+            parser.error(f"unknown picture {name!r}; valid: {', '.join(PICTURES)}")
+    # Within it, so that pages name its runs alone.
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        runs = Runs(Path(folder))
+        for name in names:
+            console.note(f"pictures: {name}")
+            PICTURES[name](runs)
+    return 0
+
+
 if __name__ == "__main__":
-    dashboards(IMAGES)
-    sys.exit(0)
+    sys.exit(main())

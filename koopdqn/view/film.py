@@ -97,9 +97,13 @@ def _write_gif(path: Path, frames: Iterator[Image], rate: int, advance: Callable
     import PIL.Image
 
     def reduced() -> Iterator["Picture"]:
+        shades = None
         for frame in frames:
             advance(1)
-            yield PIL.Image.fromarray(frame).quantize(128, dither=PIL.Image.Dither.NONE)
+            picture = PIL.Image.fromarray(frame)
+            # One palette for all, so that what stays the same is written once.
+            shades = shades or picture.quantize(128, dither=PIL.Image.Dither.NONE)
+            yield picture.quantize(palette=shades, dither=PIL.Image.Dither.NONE)
 
     first, *rest = reduced()
     first.save(path, format="GIF", save_all=True, append_images=rest, duration=1000 // rate, loop=0)
