@@ -15,14 +15,20 @@ export CONSTRAINTS
 PEOPLE ?= ../shared/data
 # Options of scripts/bench.py: --long, --pykoopman=PYTHON.
 BENCH ?=
+# How long `make fuzz` and `make soak` try to break koopdqn, from which seed, and what `make physics` plays.
+TRY_MINUTES ?= 10
+SEED ?= 0
+RUNS ?=
+PATHS ?= 1000
 # After how many minutes `make study` and `make ablations` begin no new run.
 MINUTES ?= 90
 
 BIN := $(VENV)/bin
+AUDIT_TOOLS = $(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) -e '.[audit]'
 STAMP := $(VENV)/.koopdqn-installed
 
 .PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs arms site figures \
-	package pictures constraints clean
+	pictures fuzz soak physics audit licences sbom package constraints clean
 
 help: ## List the targets
 	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
@@ -76,6 +82,29 @@ study: $(STAMP) ## Measure the default beside simpler and older methods, for at 
 
 people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
 	$(BIN)/python scripts/study.py people --data $(PEOPLE)
+
+fuzz: $(STAMP) ## Damage input for TRY_MINUTES, count what comes of it, into docs/reliability.md
+	OMP_NUM_THREADS=1 $(BIN)/python scripts/prove.py fuzz --minutes $(TRY_MINUTES) --seed $(SEED)
+
+# A training that was begun goes on after the minutes are over; 15 of them end within 20.
+soak: $(STAMP) ## Kill trainings for TRY_MINUTES, at most 15, and compare what comes of them, into docs/reliability.md
+	OMP_NUM_THREADS=1 timeout 1200 $(BIN)/python scripts/prove.py soak --minutes $(TRY_MINUTES) --seed $(SEED)
+
+physics: $(STAMP) ## Play PATHS paths of each of RUNS in perturbed dynamics, into docs/reliability.md
+	OMP_NUM_THREADS=1 $(BIN)/python scripts/prove.py physics --paths $(PATHS) --runs $(RUNS)
+
+audit: $(STAMP) ## Look up known flaws of the dependencies; needs the network
+	@$(AUDIT_TOOLS)
+	@$(BIN)/python scripts/audit.py
+
+licences: $(STAMP) ## List the licence of every dependency
+	@$(AUDIT_TOOLS)
+	@$(BIN)/pip-licenses --python $(BIN)/python --from mixed --order license
+
+sbom: $(STAMP) ## Write dist/sbom.json, a bill of materials in CycloneDX
+	@$(AUDIT_TOOLS)
+	@mkdir -p dist
+	$(BIN)/cyclonedx-py environment --output-reproducible --pyproject pyproject.toml -o dist/sbom.json $(BIN)/python
 
 docs: $(STAMP) ## Write the generated tables of docs/files.md
 	$(BIN)/python scripts/docs.py

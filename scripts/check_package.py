@@ -10,6 +10,7 @@ Run it as ``make package``. Exit status 0 if everything holds, 1 at the first st
 
 import email.message
 import email.parser
+import hashlib
 import json
 import os
 import subprocess
@@ -21,7 +22,7 @@ import tomllib
 import venv
 import xml.etree.ElementTree as ElementTree
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -43,6 +44,7 @@ SDIST_FILES = frozenset(
         "Makefile",
         "PKG-INFO",
         "README.md",
+        "SECURITY.md",
         "constraints.txt",
         "mkdocs.yml",
         "pyproject.toml",
@@ -86,6 +88,39 @@ def run(*command: str | Path, cwd: Path, env: dict[str, str] | None = None) -> s
     return done.stdout
 
 
+def sealed(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of a build, whose files bear one date: SOURCE_DATE_EPOCH, else the last commit's."""
+    told = environment.get("SOURCE_DATE_EPOCH")
+    if not told:
+        done = subprocess.run(
+            ["git", "log", "-1", "--format=%ct"], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+        # An unpacked sdist has no commits.
+        told = done.stdout.strip() or "1580601600"
+    return {**environment, "SOURCE_DATE_EPOCH": told}
+
+
+def check_again(*archives: Path) -> None:
+    """Build sdist and wheel once more, from another folder, and compare the bytes.
+
+    Raises:
+        GateError: the build failed, or an archive has other bytes.
+    """
+    # The date of the commit, which the unpacked sdist does not know.
+    environment = sealed(os.environ)
+    with tempfile.TemporaryDirectory(prefix="koopdqn-again-") as folder:
+        unpacked = Path(folder) / "unpacked"
+        with tarfile.open(archives[0]) as sdist:
+            sdist.extractall(unpacked, filter="data")
+        (source,) = unpacked.iterdir()
+        out = Path(folder) / "out"
+        run(sys.executable, "-m", "build", "--no-isolation", "--outdir", out, cwd=source, env=environment)
+        for archive in archives:
+            sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in (archive, out / archive.name)]
+            if sums[0] != sums[1]:
+                raise GateError(f"{archive.name} must have the same bytes when it is built again, found {sums}")
+
+
 def build(version: str) -> tuple[Path, Path]:
     """Build the sdist, and from it the wheel, into an emptied ``dist/``; return the paths of both.
 
@@ -95,7 +130,7 @@ def build(version: str) -> tuple[Path, Path]:
     for old in DIST.glob("koopdqn-*"):
         old.unlink()
     # The backend is in the development environment, pinned; an isolated build would fetch it anew.
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", DIST, cwd=ROOT)
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", DIST, cwd=ROOT, env=sealed(os.environ))
     sdist, wheel = DIST / f"koopdqn-{version}.tar.gz", DIST / f"koopdqn-{version}-py3-none-any.whl"
     found = sorted(DIST.glob("koopdqn-*"))
     if found != sorted([sdist, wheel]):
@@ -307,6 +342,8 @@ def main() -> int:
     try:
         with step("build the sdist, and the wheel from it"):
             sdist, wheel = build(version)
+        with step("the same bytes again, from the sdist"):
+            check_again(sdist, wheel)
         with step("contents and metadata"):
             check_sdist(sdist, version)
             check_wheel(wheel, project)
