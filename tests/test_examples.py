@@ -10,6 +10,7 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SHORT = ["demo.count=3", "train.max_steps=4000", "eval.episodes=3", "eval.dynamics=false", "eval.baselines=false"]
 CASES = [
     ("own_task.py", SHORT, "of 3 starts"),
+    ("pouring.py", SHORT, "questions asked"),
     ("own_oracle.py", SHORT, "questions answered"),
     ("own_observables.py", ["demo.count=3"], "the default"),
     ("own_environment.py", ["2000", "demo.count=3"], "success_rate"),
