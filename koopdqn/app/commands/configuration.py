@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
@@ -20,7 +20,7 @@ from koopdqn.oracles.base import OracleSettings
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
-from koopdqn.rl.settings import AgentSettings, TrainSettings
+from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
 from koopdqn.tasks.person import Person
@@ -37,6 +37,7 @@ class Inputs(Settings):
     """The root's own keys."""
 
     command: str
+    actions: Literal["table1", "continuous"] = "table1"
     seed: NonNegativeInt
     out: PathText
     run: PathText | None
@@ -59,7 +60,7 @@ class Configuration:
     intent: IntentSettings
     trust: TrustSettings
     oracle: OracleSettings
-    agent: AgentSettings
+    agent: Agent
     robot: Arm
     demo: DemoSettings
     fit: FitSettings
@@ -109,7 +110,12 @@ class Configuration:
         for key, kind in sections.items():
             node = content.get(key)
             parts[names[key]] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
-        return cls(**parts)
+        made = cls(**parts)
+        continuous = made.inputs.actions == "continuous"
+        if made.agent.continuous != continuous:
+            kind = "td3, or another" if continuous else "fast, paper, or another"
+            raise BadInputError(f"agent: must be {kind} of actions={made.inputs.actions}, found {made.agent.name}")
+        return made
 
     def shaped_by(self) -> dict[str, Any]:
         """Return what decides a training run's bytes: no path, no date, no answer source, no stopping rule."""

@@ -15,7 +15,6 @@ from koopdqn.artifact import read_artifact, reading
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.errors import BadInputError
-from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import POSITION
@@ -66,7 +65,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
     intent = read_intent(source / pipeline.INTENT, config.task)
     workcell = pipeline.open_scene(config)
     feedback = Feedback(
-        IntentReward(config.task, intent.model, intent.trust, config.reward),
+        pipeline.intent_reward(config, intent.model, intent.trust),
         ScriptedOracle(config.task),
         config.feedback,
     )
