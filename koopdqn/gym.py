@@ -1,7 +1,8 @@
 """koopdqn for Gymnasium: importing this module registers its environments.
 
-``gymnasium.make("koopdqn/Shelf-v0")``, ``"koopdqn/Knife-v0"`` and ``"koopdqn/Demonstrated-v0"``, and
-``gymnasium.make_vec`` of the same names for many episodes at once. All take the keywords of :func:`make`.
+``gymnasium.make("koopdqn/Shelf-v0")``, ``"koopdqn/Knife-v0"`` and ``"koopdqn/Demonstrated-v0"``, each also with
+continuous actions, as ``"koopdqn/ShelfContinuous-v0"``, and ``gymnasium.make_vec`` of the same names for many episodes
+at once. All take the keywords of :func:`make`.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,13 @@ TASKS: Final = {"koopdqn/Shelf-v0": "shelf", "koopdqn/Knife-v0": "knife", "koopd
 """The task of each environment by its name."""
 
 for _name, _task in TASKS.items():
-    gymnasium.register(_name, f"{__name__}:make", vector_entry_point=f"{__name__}:make_vector", kwargs={"task": _task})
+    for _kind, _actions in (("", "table1"), ("Continuous", "continuous")):
+        gymnasium.register(
+            _name.replace("-", f"{_kind}-"),
+            f"{__name__}:make",
+            vector_entry_point=f"{__name__}:make_vector",
+            kwargs={"task": _task, "actions": _actions},
+        )
 
 
 def make(
@@ -37,6 +44,7 @@ def make(
     demonstrations: str | Path | Sequence[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
+    actions: str = "table1",
     **keywords: Any,
 ) -> "KoopmanEnv":
     """Return the environment of one episode at a time.
@@ -49,6 +57,7 @@ def make(
         demonstrations: files, as ``demos=`` names them on the command line; ``Demonstrated-v0`` must have some.
         oracle: who answers where the intent is not trusted; None for the config's, which is the scripted person.
         config_dir: a folder of own options, searched beside koopdqn's.
+        actions: ``table1`` or ``continuous``.
         keywords: ``render_mode``, which is ``rgb_array`` or ``human``.
 
     Raises:
@@ -56,7 +65,7 @@ def make(
     """
     from koopdqn.envs.gym import KoopmanEnv
 
-    return KoopmanEnv(environment_parts(task, overrides, demonstrations, oracle, config_dir), **keywords)
+    return KoopmanEnv(environment_parts(task, overrides, demonstrations, oracle, config_dir, actions), **keywords)
 
 
 def make_vector(
@@ -66,6 +75,7 @@ def make_vector(
     demonstrations: str | Path | Sequence[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
+    actions: str = "table1",
     **keywords: Any,
 ) -> "KoopmanVectorEnv":
     """Return the environment of ``num_envs`` episodes at once; see :func:`make`.
@@ -75,7 +85,7 @@ def make_vector(
     from koopdqn.envs.gym import KoopmanVectorEnv
 
     return KoopmanVectorEnv(
-        environment_parts(task, overrides, demonstrations, oracle, config_dir), num_envs, **keywords
+        environment_parts(task, overrides, demonstrations, oracle, config_dir, actions), num_envs, **keywords
     )
 
 
@@ -85,11 +95,14 @@ def environment_parts(
     demonstrations: str | Path | Sequence[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
+    actions: str = "table1",
 ) -> "EnvironmentParts":
     """Return what the environment of a task consists of; see :func:`make`."""
     from koopdqn.app import api
 
-    config = api.load_config(f"task={task}", *_demos(demonstrations), *overrides, config_dir=config_dir)
+    config = api.load_config(
+        f"task={task}", f"actions={actions}", *_demos(demonstrations), *overrides, config_dir=config_dir
+    )
     return api.environment_parts(config, *_fitted(config), oracle)
 
 

@@ -33,6 +33,7 @@ from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.paths import to_step
 from koopdqn.pose import Array
+from koopdqn.rl.settings import AgentSettings
 from koopdqn.tasks.rollout import SUCCESS, Controller, follow, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
@@ -112,6 +113,8 @@ def _learned(method: str, trained: Trained, questions: int) -> Imitator:
 
     config, cell, frame = trained.config, trained.workcell, trained.intent.model.start_frame
     agent, seed, limit = config.agent, config.inputs.seed, trained.step_limit
+    if not isinstance(agent, AgentSettings):
+        raise BadInputError(f"actions: must be table1 for {method}, found continuous")
     if method == "sqil":
         sqil = Sqil(cell, trained.trajectories, agent, seed, limit, frame=frame)
         return sqil.run(check=trained.check, check_every=config.train.check_every)

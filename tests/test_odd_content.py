@@ -21,7 +21,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import Fitted
 from koopdqn.intent.storage import StoredIntent, read_intent
-from koopdqn.rl.dqn import _arrays_of
+from koopdqn.rl.dqn import arrays_of
 from koopdqn.rl.network import QNetwork, size
 from koopdqn.rl.policy import read_policy, write_policy
 from koopdqn.tasks.shelf import ShelfTask
@@ -45,7 +45,7 @@ def policy(tmp_path_factory: pytest.TempPathFactory, parts: Parts) -> Path:
     few = parts.agent.network.model_copy(update={"hidden": (4,), "fourier_features": 4})
     network = QNetwork(size(parts.task), few, np.random.default_rng(0))
     about = {"task": read_artifact_task(parts)}
-    write_policy(path, _arrays_of(network), few, STILL, about)
+    write_policy(path, arrays_of(network), few, STILL, about)
     return path
 
 

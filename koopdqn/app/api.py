@@ -99,7 +99,7 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
 
 def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
     """Return the reward function (Eqs. 15, 16) of a fitted intent."""
-    return IntentReward(config.task, fitted.model, fitted.trust, config.reward)
+    return pipeline.intent_reward(config, fitted.model, fitted.trust)
 
 
 def train(
@@ -124,7 +124,6 @@ def train(
     """
     from koopdqn.rl.algorithm1 import Trainer
     from koopdqn.rl.human_reward import Budget
-    from koopdqn.rl.policy import Policy
     from koopdqn.rl.questions import Asking
     from koopdqn.rl.settings import check_device
 
@@ -144,8 +143,7 @@ def train(
         Asking(config.oracle.ask, config.oracle.gather_most),
     )
     trainer.run(on_check)
-    policy = Policy(trainer.best_network(), config.task, fitted.model.start_frame)
-    return Trained(policy, trainer.learned, trainer.questions, trainer.step_limit, trainer.history)
+    return Trained(trainer.best_policy(), trainer.learned, trainer.questions, trainer.step_limit, trainer.history)
 
 
 def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:

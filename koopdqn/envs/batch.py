@@ -14,7 +14,8 @@ from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.network import observe
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.twists import twist_size
 from koopdqn.tasks.workcell import Workcell
 
 NO_REWARD: Final = len(SOURCES)
@@ -45,6 +46,11 @@ class EnvironmentParts:
     step_limit: int
     feedback: FeedbackSettings = ANSWERS_ALONE
     budget: Budget = Budget()  # noqa: RUF009 (frozen)
+
+    @property
+    def twist(self) -> int:
+        """Numbers of a twist, the action; 0 where actions are Table 1's."""
+        return twist_size(self.workcell.task) if self.reward.continuous else 0
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,7 @@ class Batch:
         self._tries = np.zeros(count, dtype=np.int64)
         starts = StartSampler(workcell, self._frame, [], limit)
         feedback = Feedback(reward, parts.oracle, parts.feedback, parts.budget)
-        self._env = VectorEnv(workcell, feedback, starts, count, rng)
+        self._env = VectorEnv(workcell, feedback, starts, count, rng, twists=1)
 
     @property
     def poses(self) -> Array:
@@ -104,21 +110,27 @@ class Batch:
         """Try an action in each episode: labels, inverse kinematics and collisions of all at once.
 
         Args:
-            actions: (N,) indices in Table 1, from 0.
+            actions: (N,) indices in Table 1, from 0; where actions are continuous, twists (N, 3 or 6).
             active: (N,) which episodes try theirs; None for all.
 
         Raises:
-            ValueError: an action is none of the ten.
+            ValueError: an action is none of the ten, or a twist is not finite.
             PauseRequested: who answers wants to go on another time.
         """
-        strange = (actions < 0) | (actions >= COUNT)
-        if strange.any():
-            raise ValueError(f"action must be from 0 to {COUNT - 1}, found {actions[strange][0]}")
         env, count = self._env, len(self._tries)
+        twists = None
+        if env.feedback.reward.continuous:
+            twists = np.asarray(actions, dtype=np.float64).reshape(count, 1, twist_size(self._task))
+            if not np.isfinite(twists).all():
+                raise ValueError("action must be finite, found NaN or infinity")
+            actions = np.full(count, FIRST_TWIST)
+        strange = (actions < 0) | (actions >= COUNT)
+        if twists is None and strange.any():
+            raise ValueError(f"action must be from 0 to {COUNT - 1}, found {actions[strange][0]}")
         terminated, truncated, undone = np.zeros((3, count), dtype=bool)
         steps = Steps(np.zeros(count), terminated, truncated, undone, np.full(count, NO_REWARD))
         rows = np.arange(count) if active is None else np.flatnonzero(active)
-        evaluation, changes = env.evaluate_actions(), env.feedback.changes
+        evaluation, changes = env.evaluate_actions(twists=twists), env.feedback.changes
         reached = evaluation.reached[rows, actions[rows]]
         motions = env.workcell.reachability.move_batch(reached, env.episodes.joints[rows])
         before = env.episodes.steps.copy()
@@ -127,7 +139,8 @@ class Batch:
                 # What an answer has taught already may settle what is still to be asked; the rest stands as it was.
                 left = rows[place:]
                 open_rows = left[~evaluation.known[left, actions[left]]]
-                evaluation.renew(open_rows, env.evaluate_actions(open_rows))
+                again = None if twists is None else twists[open_rows]
+                evaluation.renew(open_rows, env.evaluate_actions(open_rows, again))
                 changes = env.feedback.changes
             attempt = env.try_action(row, action, evaluation, motion)
             if attempt.reward is not None:

@@ -51,7 +51,7 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         return dm_env.restart(self._batch.observations()[0])
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Try an action (an index in Table 1, from 0); a skipped question brings reward 0 and moves nothing.
+        """Try an action (an index in Table 1 or a twist); a skipped question brings reward 0 and moves nothing.
 
         Raises:
             ValueError: the action is none of the ten.
@@ -59,7 +59,7 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         """
         if not self._running:
             return self.reset()
-        steps = self._batch.step(np.array([int(action)]))
+        steps = self._batch.step(np.array([action if self._parts.twist else int(action)]))
         self._show(self._parts.workcell.reachability.step_seconds)
         reward, observation = float(steps.rewards[0]), self._batch.observations()[0]
         self._running = not (steps.terminated[0] or steps.truncated[0])
@@ -73,8 +73,10 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         """Return the observation's shape: (5,) with orientation held, (8,) otherwise."""
         return specs.Array((size(self._parts.workcell.task),), np.float32, name="observation")
 
-    def action_spec(self) -> specs.DiscreteArray:
-        """Return the ten actions."""
+    def action_spec(self) -> specs.Array:
+        """Return the ten actions, or, where they are continuous, a twist's numbers, each from −1 to 1."""
+        if self._parts.twist:
+            return specs.BoundedArray((self._parts.twist,), np.float32, -1.0, 1.0, name="action")
         return specs.DiscreteArray(COUNT, name="action")
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ RenderMode = Literal["human", "rgb_array"]
 Observations = NDArray[np.float32]
 
 
-class KoopmanEnv(gymnasium.Env[Observations, np.int64]):
+class KoopmanEnv(gymnasium.Env[Observations, Any]):
     """Algorithm 1's environment: rewards from the intent model where trusted, from the oracle elsewhere.
 
     A wrong action is rewarded negatively and undone: the next observation is that of the pose before it. An episode is
@@ -41,7 +41,7 @@ class KoopmanEnv(gymnasium.Env[Observations, np.int64]):
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.observation_space = observation_space(parts.workcell)
-        self.action_space = Discrete(COUNT)
+        self.action_space = action_space(parts)
         self._parts = parts
         self._batch: Batch | None = None
         self._pictures: Pictures | None = None
@@ -60,15 +60,15 @@ class KoopmanEnv(gymnasium.Env[Observations, np.int64]):
         self._show()
         return self._batch.observations()[0], {"pose": self._batch.poses[0]}
 
-    def step(self, action: np.int64) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
-        """Try an action (an index in Table 1, from 0); a skipped question brings reward 0 and moves nothing.
+    def step(self, action: Any) -> tuple[Observations, float, bool, bool, dict[str, Any]]:
+        """Try an action (an index in Table 1 or a twist); a skipped question brings reward 0 and moves nothing.
 
         Raises:
             ValueError: the action is none of the ten.
             PauseRequested: who answers wants to go on another time.
         """
         batch = self._begun()
-        steps = batch.step(np.array([int(action)]))
+        steps = batch.step(np.array([action if self._parts.twist else int(action)]))
         self._show()
         info = {
             "source": str(SOURCE_NAMES[steps.sources[0]]),
@@ -109,7 +109,7 @@ class KoopmanEnv(gymnasium.Env[Observations, np.int64]):
             self._window.show(self._begun().joints[0])
 
 
-class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, NDArray[np.int64], np.ndarray]):
+class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.ndarray]):
     """N episodes of :class:`KoopmanEnv` at once, with arrays: labels, kinematics and collisions of all in one go.
 
     They share their seed, and what answers have taught. An episode that has ended begins anew with the next step
@@ -145,7 +145,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, NDArray[np.int64
             "autoreset_mode": AutoresetMode(autoreset_mode),
         }
         self.single_observation_space = observation_space(parts.workcell)
-        self.single_action_space = Discrete(COUNT)
+        self.single_action_space = action_space(parts)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._parts = parts
@@ -166,9 +166,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, NDArray[np.int64
         self._ended[:] = False
         return self._batch.observations(), self._poses(np.ones(self.num_envs, dtype=bool))
 
-    def step(
-        self, actions: NDArray[np.int64]
-    ) -> tuple[Observations, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: np.ndarray) -> tuple[Observations, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Try an action (N,) in each episode, as :meth:`KoopmanEnv.step` does in one.
 
         Raises:
@@ -226,6 +224,14 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, NDArray[np.int64
         self._ended[:] = False
         told = {**self._poses(np.ones(self.num_envs, dtype=bool)), **_told(steps, going)}
         return {**told, "final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
+
+
+def action_space(parts: EnvironmentParts) -> Discrete | Box[np.float32]:
+    """Return the ten actions, or, where they are continuous, a twist's numbers, each from −1 to 1.
+
+    Of a twist longer than its balls allow the direction counts (:func:`koopdqn.tasks.twists.in_balls`).
+    """
+    return Box(-1.0, 1.0, (parts.twist,), np.float32) if parts.twist else Discrete(COUNT)
 
 
 def observation_space(workcell: Workcell) -> Box[np.float32]:

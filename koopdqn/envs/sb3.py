@@ -27,7 +27,7 @@ class StableBaselinesVecEnv(VecEnv):
         if mode is not AutoresetMode.SAME_STEP:
             raise BadInputError(f"autoreset_mode: must be SameStep for Stable-Baselines3, found {mode.value}")
         self._env = env
-        self._actions = np.zeros(env.num_envs, dtype=np.int64)
+        self._actions = np.zeros(env.action_space.shape or env.num_envs, dtype=env.single_action_space.dtype)
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         self.render_mode = env.render_mode
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)

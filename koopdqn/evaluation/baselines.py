@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +19,7 @@ from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_next_poses
+from koopdqn.tasks.twists import twists_between
 from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:
@@ -127,27 +128,30 @@ class Greedy:
     """The controller that always takes the legal action nearest to the intent model's prediction.
 
     Nearest is by the larger of the two distances in units of their tolerances, as the reward compares.
-    The prediction is rescaled to the agent's step. It has learned nothing and asks nobody.
+    The prediction is rescaled to the agent's step; a twist follows it exactly, up to the largest turn. It has learned
+    nothing and asks nobody.
 
     Attributes:
         model: the intent model.
         task: gives actions and tolerances.
         instead: what predicts in K's place, in the model's start frame and with its way of scaling to a step; None
             for the model itself.
+        continuous: whether it may take any twist.
     """
 
     model: IntentModel
     task: Task
     instead: NextPose | None = None
+    continuous: bool = False
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
-        """Return the actions (N,) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
         frame = self.model.start_frame
         if self.instead is None:
             wished = self.model.intended(poses, starts)
         else:
             wished = frame.from_frame(self.instead(frame.to_frame(poses, starts)), starts, poses)
-        return nearest_actions(poses, self.model.to_step(poses, wished, self.task.step_m), self.task)
+        return _nearest(poses, self.model.to_step(poses, wished, self.task.step_m), self.task, self.continuous)
 
 
 def straight_path(start: Array, end: Array, task: Task) -> Array:
@@ -192,8 +196,7 @@ def baseline_episodes(
         joints: (N, 6) [rad] there.
         step_limit: steps after which an episode fails.
     """
-    task, model = workcell.task, reward.model
-    frame = model.start_frame
+    task, frame = workcell.task, reward.model.start_frame
     placed = frame.each(trajectories)
 
     def controlled(controller: Controller) -> list[Episode]:
@@ -204,7 +207,16 @@ def baseline_episodes(
 
     def best_by_reward(poses: Array, begun: Array) -> np.ndarray:
         evaluation = reward.evaluate_actions(poses, np.zeros(len(poses), dtype=np.int64), begun)
-        return np.asarray(evaluation.reward.argmax(axis=1))
+        best = evaluation.reward.argmax(axis=1)
+        if not reward.continuous:
+            return np.asarray(best)
+        return twists_between(poses, evaluation.reached[np.arange(len(poses)), best], task)
+
+    def floor(poses: Array, begun: Array) -> np.ndarray:
+        return _nearest(poses, demonstrator_next_poses(task, poses, begun), task, reward.continuous)
+
+    def greedy(instead: NextPose | None = None) -> Greedy:
+        return Greedy(reward.model, task, instead, reward.continuous)
 
     def mean_path(start: Array) -> Array:
         # People who follow their start begin there; the others go to where the mean begins.
@@ -214,21 +226,24 @@ def baseline_episodes(
     yield "straight_line", followed(lambda start: straight_path(start, task.goal, task))
     # Of equals the first.
     yield "constant_action", max((controlled(_always(action)) for action in range(COUNT)), key=_successes)
-    yield "greedy", controlled(Greedy(model, task))
+    yield "greedy", controlled(greedy())
     yield "argmax_reward", controlled(best_by_reward)
-    yield "nearest_velocity", controlled(Greedy(model, task, NearestVelocity.of(placed, task)))
-    yield "mean_tangent", controlled(Greedy(model, task, MeanTangent.of(placed, task)))
-    yield "mean_pursuit", controlled(Greedy(model, task, mean_expert(placed, task).next_pose))
+    yield "nearest_velocity", controlled(greedy(NearestVelocity.of(placed, task)))
+    yield "mean_tangent", controlled(greedy(MeanTangent.of(placed, task)))
+    yield "mean_pursuit", controlled(greedy(mean_expert(placed, task).next_pose))
     yield "nearest_demonstration", followed(lambda start: replay_path(start, trajectories, task))
     mean = _mean(placed)
     yield "mean_demonstration", followed(mean_path)
-    wishes = partial(demonstrator_next_poses, task)
-    yield "floor", controlled(lambda poses, begun: nearest_actions(poses, wishes(poses, begun), task))
+    yield "floor", controlled(floor)
 
 
 def _mean(trajectories: list[Array]) -> Array:
     """Return the mean (T, 7) of demonstrated poses (N, 7), with as many as the longest has."""
     return mean_poses(trajectories, max(len(rows) for rows in trajectories))
+
+
+def _nearest(poses: Array, wished: Array, task: Task, continuous: bool) -> np.ndarray:
+    return twists_between(poses, wished, task) if continuous else nearest_actions(poses, wished, task)
 
 
 def _always(action: int) -> Controller:

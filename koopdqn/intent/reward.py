@@ -12,8 +12,9 @@ from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import Trust, TrustDomain
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.actions import COUNT, excess, legal_actions, reached_poses
+from koopdqn.tasks.actions import SUGGESTED, excess, legal_actions, reached_poses
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.twists import moved_by, toward
 
 # Where a reward came from.
 RULE: Final = 0
@@ -30,6 +31,7 @@ NO_ANSWER: Final = -1
 
 # A motion below this [m or rad] counts as none: far under any tolerance and above rounding.
 _NO_MOTION = 1e-9
+_MARGIN_DIGITS = 6
 
 Prediction = Literal["raw", "rescaled"]
 """What a reached pose is compared with: the intent model's prediction, or its fixed-step prediction."""
@@ -51,6 +53,8 @@ class RewardSettings(Settings):
 @dataclass(frozen=True)
 class ActionEvaluation:
     """What is known, without asking, of all ten actions from each of N poses.
+
+    With continuous actions the model's own suggestion and given twists stand behind the ten: more columns than 10.
 
     Attributes:
         poses: (N, 7) before the actions.
@@ -104,14 +108,18 @@ class IntentReward:
         model: the intent model.
         trust: its trust domain.
         settings: how a comparison becomes a reward.
+        continuous: whether actions are continuous.
     """
 
-    def __init__(self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings) -> None:
+    def __init__(
+        self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings, *, continuous: bool = False
+    ) -> None:
         """Combine the parts."""
         self.task = task
         self.model = model
         self.trust = trust
         self.settings = settings
+        self.continuous = continuous
         self._illegal = ~legal_actions(task)
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
@@ -126,42 +134,46 @@ class IntentReward:
         """
         model = corrected(self.model, before, after, reaches)
         trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
-        return IntentReward(self.task, model, trust, self.settings)
+        return IntentReward(self.task, model, trust, self.settings, continuous=self.continuous)
 
     def value(self, right: bool, at_goal: bool) -> float:
         """Return the reward of an answer."""
         return self.settings.size * (1.0 if right else -1.0) + (self.settings.goal if right and at_goal else 0.0)
 
-    def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
+    def evaluate_actions(
+        self, poses: Array, steps: np.ndarray, starts: Array | None = None, twists: Array | None = None
+    ) -> ActionEvaluation:
         """Return the evaluation of all ten actions from poses (N, 7) after ``steps`` (N,) steps.
 
         Args:
             poses: where the episodes are.
             steps: how many steps each has made.
             starts: (N, 7) where they began; None if poses are in the start frame already.
+            twists: (N, S, 3 or 6) to evaluate behind the named actions, where actions are continuous; None for none.
         """
-        count = len(poses)
-        reached = reached_poses(poses, self.task)
-        local, local_reached = poses, reached
-        if starts is not None:
-            local = self.model.start_frame.to_frame(poses, starts)
-            local_reached = self.model.start_frame.to_frame(reached, starts[:, None])
+        local = poses if starts is None else self.model.start_frame.to_frame(poses, starts)
         here = self.trust.assess(local, steps)
         predicted = self._predicted(local, here.demonstrated)
         if starts is not None:
             predicted = self.model.start_frame.from_frame(predicted, starts, poses)
         if self.settings.prediction == "rescaled":
             predicted = self.model.to_step(poses, predicted, self.task.step_m)
+        reached = self._reached(poses, predicted, twists)
+        local_reached = reached if starts is None else self.model.start_frame.to_frame(reached, starts[:, None])
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
+        if self.continuous:
+            # Without rounding errors, so that an answer about the suggestion also applies nearby.
+            margin[:, SUGGESTED] = margin[:, SUGGESTED].round(_MARGIN_DIGITS)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
         demonstrated, certified, doubt = self._trust(here, local_reached, steps)
         certain = certain_signs(margin, doubt)
         unchanged = pose.position_distance(reached, poses[:, None]) < _NO_MOTION
         rows, actions = np.nonzero(unchanged)
         unchanged[rows, actions] = pose.rotation_distance(reached[rows, actions], poses[rows]) < _NO_MOTION
-        wrong = unchanged | self._illegal
+        wrong = unchanged
+        wrong[:, : self._illegal.size] |= self._illegal
         reward = self.settings.size * np.where(wrong, -1.0, reward)
-        at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(count, COUNT)
+        at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(reached.shape[:2])
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
         source = np.select([wrong, demonstrated & certain, certified & certain], [RULE, TRUSTED, CERTIFIED], ASKED)
         margin = np.where(wrong, -np.inf, margin)
@@ -181,6 +193,15 @@ class IntentReward:
             np.full_like(source, NO_ANSWER),
         )
 
+    def _reached(self, poses: Array, predicted: Array, twists: Array | None) -> Array:
+        """Return the poses (N, A, 7) that all actions reach from poses (N, 7), given the prediction (N, 7)."""
+        reached = [reached_poses(poses, self.task)]
+        if self.continuous:
+            reached.append(toward(poses, predicted, self.task)[:, None])
+        if twists is not None:
+            reached.append(moved_by(poses[:, None], twists, self.task))
+        return reached[0] if len(reached) == 1 else np.concatenate(reached, axis=1)
+
     def _predicted(self, poses: Array, demonstrated: np.ndarray) -> Array:
         """Return the predictions (N, 7) at local poses, corrected by answers where demonstrations do not decide."""
         fitted = self.model.fitted.predict(poses)
@@ -188,9 +209,10 @@ class IntentReward:
 
     def _trust(self, here: Trust, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
         """Return which actions (N, 10) demonstrations trust, which only an answer certifies, and the doubt of each."""
-        after = self.trust.assess(reached.reshape(-1, 7), np.repeat(steps + 1, COUNT))
-        demonstrated, certified = after.demonstrated.reshape(-1, COUNT), after.certified.reshape(-1, COUNT)
-        doubt = after.doubt.reshape(-1, COUNT)
+        count = reached.shape[1]
+        after = self.trust.assess(reached.reshape(-1, 7), np.repeat(steps + 1, count))
+        demonstrated, certified = after.demonstrated.reshape(-1, count), after.certified.reshape(-1, count)
+        doubt = after.doubt.reshape(-1, count)
         if self.trust.settings.needs == "reached":
             return demonstrated, certified, doubt
         both = (demonstrated | certified) & (here.demonstrated | here.certified)[:, None]

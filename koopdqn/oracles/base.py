@@ -63,13 +63,14 @@ class Question:
         step: step within it.
         pose: before the action (7,).
         start: where the episode began (7,).
-        action: index of the action in Table 1, from 0.
+        action: index of the action (:data:`koopdqn.tasks.actions.NAMES`), from 0.
         reached: pose after it (7,).
         predicted: where the intent model would have gone (7,).
         reason: why it is asked, for people.
         number: questions answered before this one.
         left: questions that the budget leaves, this one included; None without a budget.
-        candidates: the poses (10, 7) that all actions reach; None if unknown.
+        candidates: the poses (A, 7) that Table 1's actions reach and, where actions are continuous, the model's
+            suggestion; None if unknown.
         progress: one line about how the learning goes, for people.
         earlier: the answers that may be withdrawn, oldest first.
         place: among the questions of its episode; None if it is asked at once.

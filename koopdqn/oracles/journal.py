@@ -16,12 +16,12 @@ from koopdqn.oracles.base import Answer, Earlier
 from koopdqn.run_folder import open_own
 from koopdqn.schema import ReportModel, flaw
 from koopdqn.settings import Name, NonNegative, NonNegativeInt
-from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.actions import NAMES
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
 
 
-Action = Annotated[int, Field(ge=0, lt=COUNT)]
+Action = Annotated[int, Field(ge=0, lt=len(NAMES))]
 
 
 class AnswerLine(ReportModel):
@@ -35,7 +35,7 @@ class AnswerLine(ReportModel):
     start: PoseList | None = Field(
         None, description="(7,) where the episode began; null in journals that do not say [m, 1]"
     )
-    action: Action = Field(description="index of the action in Table 1, from 0")
+    action: Action = Field(description="index of the action in Table 1, from 0; 10 is the intent model's suggestion")
     reached: PoseList = Field(description="(7,) after the action [m, 1]")
     predicted: PoseList = Field(description="(7,) where the intent model would have gone [m, 1]")
     reason: str = Field(description="why it was asked, in words")

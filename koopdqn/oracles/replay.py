@@ -10,6 +10,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Earlier, Oracle, OracleSettings, Question
 from koopdqn.oracles.journal import AnswerLine, JournalFile, Record, Records, UndoLine, read_records
 from koopdqn.settings import PathText
+from koopdqn.tasks.actions import COUNT
 
 if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Workcell
@@ -172,6 +173,9 @@ def _check(path: Path, records: Records, position: int) -> None:
 def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None:
     if not 0 <= answer.undo <= withdrawable:
         raise BadInputError(f"undo: must be 0 to {withdrawable}, the answers that stand, found {answer.undo}")
+    named = COUNT if question.candidates is None else len(question.candidates)
+    if answer.better is not None and not 0 <= answer.better < named:
+        raise BadInputError(f"better: must be an action from 0 to {named - 1}, found {answer.better}")
     if answer.better is not None and (answer.right is not True) == (answer.better == question.action):
         raise BadInputError(
             f"right: must be true exactly if the better action is the one asked about ({question.action}), found"

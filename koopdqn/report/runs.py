@@ -14,7 +14,7 @@ from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.report.schema import LeftOut
 from koopdqn.rl.schema import TrainReport
-from koopdqn.rl.settings import AgentSettings, TrainSettings
+from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.run_folder import check_plain
 from koopdqn.settings import TARGET, load_settings
@@ -149,7 +149,7 @@ class Preset(NamedTuple):
 
     name: str
     task: Task
-    agent: AgentSettings
+    agent: Agent
     intent: IntentSettings
     trust: TrustSettings
     reward: RewardSettings

@@ -22,6 +22,7 @@ import torch
 from koopdqn.intent.reward import ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Oracle
 from koopdqn.pose import Array
+from koopdqn.rl.actor_critic import ActorCritic
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.checks import Checker, Progress
 from koopdqn.rl.dqn import Learner, below, load_arrays
@@ -29,15 +30,26 @@ from koopdqn.rl.history import Check, History
 from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.labelling import LabelAllKnown, LabelChosen, Labelling, Motions
 from koopdqn.rl.network import QNetwork, observe, size
-from koopdqn.rl.policy import Policy
+from koopdqn.rl.policy import Policy, policy_network
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.replay_buffer import Labelled, ReplayBuffer
-from koopdqn.rl.settings import AgentSettings, TrainSettings
+from koopdqn.rl.settings import ActorCriticSettings, Agent, AgentSettings, TrainSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.twists import tolerances, twist_size
 from koopdqn.tasks.workcell import Workcell
 
 _COUNTERS = ("env_steps", "rounds")
+
+
+def learner_of(agent: Agent, task: Task, rng: np.random.Generator) -> Learner | ActorCritic:
+    """Return the learner of an agent's settings, with weights drawn from ``rng``."""
+    if isinstance(agent, ActorCriticSettings):
+        return ActorCritic(size(task), tolerances(task), agent, rng)
+    assert isinstance(agent, AgentSettings), "the two kinds of agents"
+    return Learner(size(task), agent, rng)
 
 
 class Trainer:
@@ -60,7 +72,7 @@ class Trainer:
         reward: IntentReward,
         trajectories: list[Array],
         oracle: Oracle,
-        agent: AgentSettings,
+        agent: Agent,
         settings: TrainSettings,
         seed: int,
         feedback: FeedbackSettings,
@@ -87,13 +99,15 @@ class Trainer:
         self.settings = settings
         self._task = workcell.task
         weights, self._explore_rng, self._batch_rng = (np.random.default_rng([seed, 2, i]) for i in range(3))
-        self.learner = Learner(size(self._task), agent, weights)
+        self.learner = learner_of(agent, self._task, weights)
         self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
-        self.replay = ReplayBuffer(agent.replay, size(self._task))
+        twist, twists = (twist_size(self._task), agent.twists) if isinstance(agent, ActorCriticSettings) else (0, 0)
+        self.replay = ReplayBuffer(agent.replay, size(self._task), twist, FIRST_TWIST + twists if twist else COUNT)
         self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back, replay=self.replay)
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
         starts = StartSampler(workcell, reward.model.start_frame, trajectories, self.step_limit, agent)
-        self.env = VectorEnv(workcell, self.feedback, starts, agent.episodes_at_once, self._explore_rng, asking)
+        parallel = agent.episodes_at_once, self._explore_rng
+        self.env = VectorEnv(workcell, self.feedback, starts, *parallel, asking, twists)
         self._labelling: Labelling = LabelAllKnown() if agent.trials == "all" else LabelChosen()
         self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)
         self.history = History()
@@ -106,13 +120,17 @@ class Trainer:
     @property
     def policy(self) -> Policy:
         """The present policy."""
-        return Policy(self.learner.policy_network, self._task, self.feedback.reward.model.start_frame)
+        return self._policy(self.learner.policy_network)
 
-    def best_network(self) -> QNetwork:
-        """Return the network with the arrays of :attr:`best`."""
-        network = QNetwork(size(self._task), self.agent.network, np.random.default_rng(0))
+    def best_policy(self) -> Policy:
+        """Return the policy with the arrays of :attr:`best`."""
+        network = policy_network(self._task, self.agent.network, continuous=self.agent.continuous)
         load_arrays(network, self.best)
-        return network
+        return self._policy(network)
+
+    def _policy(self, network: QNetwork) -> Policy:
+        frame = self.feedback.reward.model.start_frame
+        return Policy(network, self._task, frame, continuous=self.agent.continuous)
 
     @property
     def learned(self) -> bool:
@@ -159,8 +177,9 @@ class Trainer:
         Raises:
             PauseRequested: whoever answers pauses the run.
         """
-        evaluation = self.env.evaluate_actions()
-        values = self.learner.online.values(observe(evaluation.local, self._task))
+        twists = self.learner.propose(self.env.observations, self._explore_rng)
+        evaluation = self.env.evaluate_actions(twists=twists)
+        values = self.learner.ranking(observe(evaluation.local, self._task), evaluation)
         labelled, motions = self._labelling.label(self.env, evaluation)
         if labelled is not None:
             self._store(labelled)
@@ -171,7 +190,7 @@ class Trainer:
                 if self.feedback.changes > changes:
                     # An answer, or its withdrawal, counts for the next question already.
                     changes = self.feedback.changes
-                    evaluation = self.env.evaluate_actions()
+                    evaluation = self.env.evaluate_actions(twists=twists)
                 # After a no the same pose is asked about until an action is right.
                 again = self._try_one(index, evaluation, values[index], motions)
 
@@ -216,7 +235,8 @@ class Trainer:
 
     def _store(self, labelled: Labelled) -> None:
         labelled.count(self.history, self._task)
-        self.replay.add(labelled.transitions(self._task, step_back=self.agent.step_back))
+        how = {"step_back": self.agent.step_back, "continuous": self.agent.continuous}
+        self.replay.add(labelled.transitions(self._task, **how))
         self.env_steps += len(labelled.actions)
 
     def _end(self, index: int) -> None:

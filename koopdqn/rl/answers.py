@@ -8,6 +8,7 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
+from koopdqn.tasks.actions import FIRST_TWIST
 
 Row = tuple[float, ...]
 
@@ -90,9 +91,11 @@ class RememberedAnswers:
         moved = pose.position_distance(poses[:, None], known[None])
         turned = pose.rotation_distance(poses[:, None], known[None])
         near = (moved <= self.settings.remember_m) & (turned <= self.settings.remember_rad)
-        opinion, then = margins[:, actions], np.array(self.margins)
+        opinion, then = margins[:, np.minimum(actions, margins.shape[1] - 1)], np.array(self.margins)
         applies = near & np.where(self.right, opinion >= then, opinion <= then)
         applies |= (moved <= _SAME) & (turned <= _SAME)
+        # A twist without a name is never the same action again.
+        applies &= actions < FIRST_TWIST
         for action in np.unique(actions[applies.any(axis=0)]):
             gap = np.where(applies & (actions == action), moved, np.inf)[:, ::-1]
             place = gap.shape[1] - 1 - gap.argmin(axis=1)

@@ -1,6 +1,6 @@
 """Double DQN: updates from replayed transitions (Eqs. 1, 3; van Hasselt et al. 2016), with Adam (Kingma & Ba 2015)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.rl.network import Buffers, QNetwork
 from koopdqn.rl.replay_buffer import Transitions
 from koopdqn.rl.settings import AgentSettings
@@ -122,6 +123,13 @@ class Learner:
         self.online.normalise_to(observations)
         self.target.normalise_to(observations)
 
+    def propose(self, observe: Callable[[], NDArray[np.float32]], rng: np.random.Generator) -> None:
+        """Propose nothing: Table 1's actions are all there are."""
+
+    def ranking(self, observations: NDArray[np.float32], evaluation: ActionEvaluation) -> np.ndarray:
+        """Return by what (N, 10) an action is chosen: its value."""
+        return self.online.values(observations)
+
     def update(self, batch: Transitions) -> float:
         """Make one update from a batch and return its loss (mean squared error).
 
@@ -130,7 +138,7 @@ class Learner:
         stop = batch.terminated if self.settings.bootstrap_undone else batch.terminated | batch.undone
         with torch.no_grad():
             targets = self._targets(batch, stop)
-            states, state_of = _distinct(batch.observations)
+            states, state_of = distinct(batch.observations)
             features = self.online.features(self._tensor(states), self._features)
             layers = self.online.activations(features, self._online)
             index = self._tensor(state_of), self._tensor(batch.actions)
@@ -187,12 +195,12 @@ class Learner:
 
     def policy_arrays(self) -> dict[str, np.ndarray]:
         """Return a copy of the policy network's parameters and buffers."""
-        return _arrays_of(self.policy_network)
+        return arrays_of(self.policy_network)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the state as arrays."""
-        state = {f"online.{name}": values for name, values in _arrays_of(self.online).items()}
-        state |= {f"target.{name}": values for name, values in _arrays_of(self.target).items()}
+        state = {f"online.{name}": values for name, values in arrays_of(self.online).items()}
+        state |= {f"target.{name}": values for name, values in arrays_of(self.target).items()}
         state |= {f"adam.{name}": values for name, values in self._adam.state().items()}
         return {**state, "updates": np.array(self.updates)}
 
@@ -204,14 +212,14 @@ class Learner:
         self.updates = int(state["updates"])
 
 
-def _distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
+def distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
     """Return observations (N, inputs) with adjacent equal ones merged (B, inputs), and the index of each (N,)."""
     new = np.ones(len(observations), dtype=bool)
     new[1:] = (observations[1:] != observations[:-1]).any(axis=1)
     return observations[new], np.cumsum(new) - 1
 
 
-def load_arrays(network: QNetwork, arrays: dict[str, np.ndarray]) -> None:
+def load_arrays(network: nn.Module, arrays: dict[str, np.ndarray]) -> None:
     """Set a network's parameters and buffers.
 
     Raises:
@@ -220,7 +228,8 @@ def load_arrays(network: QNetwork, arrays: dict[str, np.ndarray]) -> None:
     network.load_state_dict({name: torch.from_numpy(values.copy()) for name, values in arrays.items()})
 
 
-def _arrays_of(network: QNetwork) -> dict[str, np.ndarray]:
+def arrays_of(network: nn.Module) -> dict[str, np.ndarray]:
+    """Return a copy of a network's parameters and buffers."""
     return {name: values.detach().cpu().numpy().copy() for name, values in network.state_dict().items()}
 
 

@@ -11,6 +11,7 @@ from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
 from koopdqn.rl.replay_buffer import ReplayBuffer
+from koopdqn.tasks.actions import FIRST_TWIST
 
 _TOGETHER = 1024
 # Least reach of the correction by an unexpected yes, in steps.
@@ -102,9 +103,11 @@ class Feedback:
         """Whether training ends because the budget is spent."""
         return self.spent and self._budget.when_spent == "stop"
 
-    def evaluate_actions(self, poses: Array, steps: np.ndarray, starts: Array | None = None) -> ActionEvaluation:
+    def evaluate_actions(
+        self, poses: Array, steps: np.ndarray, starts: Array | None = None, twists: Array | None = None
+    ) -> ActionEvaluation:
         """Return the evaluation of :meth:`IntentReward.evaluate_actions`, with remembered answers."""
-        evaluation = self.reward.evaluate_actions(poses, steps, starts)
+        evaluation = self.reward.evaluate_actions(poses, steps, starts, twists)
         # What answers say matters only where something is not known anyway.
         rows = np.flatnonzero(~evaluation.known.all(axis=1))
         places = self.answers.recall(evaluation.local[rows], evaluation.margin[rows])
@@ -176,7 +179,9 @@ class Feedback:
         for action, right in said:
             margins = evaluation.margin[row]
             margin = float(margins[action])
-            expected = margin >= max(0.0, float(margins.max()))
+            # A person who goes another way within the tolerance does not contradict a model that can go any way.
+            best = 0.0 if self.reward.continuous else float(margins.max())
+            expected = margin >= max(0.0, best)
             here, there = evaluation.local[row].copy(), evaluation.local_reached[row, action].copy()
             self.answers.add(number, here, action, there, right=right, margin=margin, expected=expected)
             if right and self._settings.extend:
@@ -227,8 +232,10 @@ class Feedback:
         lost = np.zeros(len(replay), dtype=bool)
         for begin in range(0, len(rows), _TOGETHER):
             part = rows[begin : begin + _TOGETHER]
-            evaluation = self.reward.evaluate_actions(held.poses[part], held.steps[part], held.starts[part])
-            each = np.arange(len(part)), held.actions[part]
+            twists = None if held.twists is None else held.twists[part, None].astype(np.float64)
+            evaluation = self.reward.evaluate_actions(held.poses[part], held.steps[part], held.starts[part], twists)
+            # What the model suggests may have changed since.
+            each = np.arange(len(part)), held.actions[part] if twists is None else np.full(len(part), FIRST_TWIST)
             rewards = evaluation.reward[each].astype(np.float32)
             replay.revalue(part, rewards, evaluation.at_goal[each], step_back=self.step_back)
             lost[part] = ~evaluation.known[each]

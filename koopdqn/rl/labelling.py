@@ -9,6 +9,7 @@ from koopdqn.intent.reward import ASKED, BY_MODEL, CERTIFIED, RULE, TRUSTED, Act
 from koopdqn.pose import Array
 from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.rl.vector_env import VectorEnv
+from koopdqn.tasks.actions import FIRST_TWIST
 from koopdqn.tasks.workcell import Motion
 
 Motions = dict[tuple[int, int], Motion]
@@ -20,8 +21,8 @@ class Choice:
     """The actions among which an episode chooses.
 
     Attributes:
-        allowed: (10,) booleans; all false if no action is left.
-        ranking: (10,) values to choose by in place of Q and of ε; None for those.
+        allowed: (A,) booleans; all false if no action is left.
+        ranking: (A,) values to choose by in place of Q and of ε; None for those.
         ask: whether the oracle is asked even where the reward is known.
     """
 
@@ -80,6 +81,8 @@ class LabelAllKnown:
             return Choice(right)
         if _blocked(env, evaluation, index):
             return Choice(np.zeros_like(right))
+        # A person is asked about actions that have a name.
+        untried[FIRST_TWIST:] = False
         # Actions not excluded by rules, demonstrations or their own answers.
         unsure = (ASKED,) if env.put_off.on else (ASKED, CERTIFIED)
         return Choice(untried & np.isin(evaluation.source[index], unsure), evaluation.margin[index], ask=True)

@@ -41,6 +41,8 @@ class Buffers:
 class QNetwork(nn.Module):
     """A multilayer perceptron with ReLU on normalised observations, and on random Fourier features of the position.
 
+    Its outputs are the values of the ten actions, or, of an actor, the numbers of a twist.
+
     The right action changes every few millimetres; the features (Rahimi & Recht 2007) let a small network follow that.
     Their frequencies are random and not learned.
     """
@@ -50,7 +52,14 @@ class QNetwork(nn.Module):
     frequencies: Tensor
     phases: Tensor
 
-    def __init__(self, inputs: int, settings: NetworkSettings, rng: np.random.Generator, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        inputs: int,
+        settings: NetworkSettings,
+        rng: np.random.Generator,
+        device: str = "cpu",
+        outputs: int = COUNT,
+    ) -> None:
         """Make a network for observations (N, inputs) on a device, every weight drawn from ``rng``."""
         super().__init__()
         features = settings.fourier_features
@@ -66,7 +75,7 @@ class QNetwork(nn.Module):
         layers: list[nn.Module] = []
         for before, after in pairwise(widths):
             layers += [linear(before, after, rng), nn.ReLU()]
-        self.layers = nn.Sequential(*layers, linear(widths[-1], COUNT, rng))
+        self.layers = nn.Sequential(*layers, linear(widths[-1], outputs, rng))
         self.device = torch.device(device)
         self.to(self.device)
         self._memory = Buffers(self.device)
@@ -137,11 +146,11 @@ def linear(inputs: int, outputs: int, rng: np.random.Generator) -> nn.Linear:
     return layer
 
 
-def values_in(inputs: int, settings: NetworkSettings) -> int:
+def values_in(inputs: int, settings: NetworkSettings, outputs: int = COUNT) -> int:
     """Return how many numbers a network for observations (N, inputs) consists of, its buffers included."""
     waved = _POSITION if inputs == _HELD else _POSITION + _ROTATION
     features = settings.fourier_features
-    widths = [inputs + features, *settings.hidden, COUNT]
+    widths = [inputs + features, *settings.hidden, outputs]
     return 2 * inputs + (waved + 1) * features + sum((before + 1) * after for before, after in pairwise(widths))
 
 

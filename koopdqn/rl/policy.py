@@ -1,4 +1,4 @@
-"""The learned policy: the argmax of a Q-network on the observation alone."""
+"""The learned policy: the argmax of a Q-network, or an actor's twist, on the observation alone."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +13,14 @@ from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
 from koopdqn.rl.settings import NetworkSettings
 from koopdqn.settings import validate
+from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.twists import in_balls, twist_size
 
 KIND = "policy"
+CONTINUOUS = "continuous"
+"""What a policy's metadata say of its actions where they are twists."""
 
 
 @dataclass(frozen=True)
@@ -24,29 +28,52 @@ class Policy:
     """A policy for a task.
 
     Attributes:
-        network: the Q-network.
+        network: the Q-network, or the actor.
         task: gives the goal in observations.
         frame: the start frame of observations.
+        continuous: whether the network is an actor.
     """
 
     network: QNetwork
     task: Task
     frame: StartFrame = STILL
+    continuous: bool = False
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
-        """Return the actions (N,) of greatest value from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
-        return np.asarray(self.values(poses, starts).argmax(axis=1))
+        """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7).
+
+        They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6).
+        """
+        values = self.values(poses, starts)
+        return in_balls(values.astype(np.float64)) if self.continuous else np.asarray(values.argmax(axis=1))
 
     def values(self, poses: Array, starts: Array) -> np.ndarray:
-        """Return the values Q (N, 10) at poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
+        """Return the network's outputs at poses (N, 7) of episodes that began at ``starts`` (N, 7).
+
+        They are the values Q (N, 10), or an actor's twists (N, 3 or 6) before they are shortened.
+        """
         return self.network.values(observe(self.frame.to_frame(poses, starts), self.task))
 
 
+def policy_network(task: Task, settings: NetworkSettings, *, continuous: bool) -> QNetwork:
+    """Return a policy's network, whose arrays are still to be set."""
+    outputs = twist_size(task) if continuous else COUNT
+    return QNetwork(size(task), settings, np.random.default_rng(0), outputs=outputs)
+
+
 def write_policy(
-    path: Path, arrays: dict[str, np.ndarray], network: NetworkSettings, frame: StartFrame, about: dict[str, Any]
+    path: Path,
+    arrays: dict[str, np.ndarray],
+    network: NetworkSettings,
+    frame: StartFrame,
+    about: dict[str, Any],
+    *,
+    continuous: bool = False,
 ) -> None:
     """Write a policy: the network's arrays and settings, its frame, and further metadata ``about``."""
-    write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network), "frame": frame.described()}))
+    kind = {"actions": CONTINUOUS} if continuous else {}
+    about = {**about, **kind, "network": described(network), "frame": frame.described()}
+    write_artifact(path, Artifact(KIND, arrays, about))
 
 
 def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
@@ -61,15 +88,17 @@ def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
     with reading(f"policy {path}"):
         node = {key: value for key, value in about["network"].items() if key != "target"}
         settings = validate(node, NetworkSettings, "policy.network")
-        held, wanted = sum(values.size for values in artifact.arrays.values()), values_in(size(task), settings)
+        continuous = about.get("actions") == CONTINUOUS
+        outputs = twist_size(task) if continuous else COUNT
+        held, wanted = sum(values.size for values in artifact.arrays.values()), values_in(size(task), settings, outputs)
         # Before a network is made that the settings alone make large.
         if held != wanted:
             raise BadInputError(
                 f"policy {path} must hold the arrays of its own settings, {wanted} numbers, found {held}"
             )
-        network = QNetwork(size(task), settings, np.random.default_rng(0))
+        network = policy_network(task, settings, continuous=continuous)
         load_arrays(network, artifact.arrays)
         frame = StartFrame.restore(about.get("frame", STILL.described()))
-        policy = Policy(network, task, frame)
+        policy = Policy(network, task, frame, continuous)
         policy(task.nominal_start[None], task.nominal_start[None])
         return policy, about

@@ -11,6 +11,7 @@ from koopdqn.oracles.base import Place, Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.replay_buffer import Labelled
+from koopdqn.tasks.actions import FIRST_TWIST
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class OpenAttempt:
         step: steps made before in the episode.
         pose: (7,) before the action.
         start: (7,) where the episode began.
-        action: index in Table 1.
+        action: its index.
     """
 
     episode: int
@@ -128,7 +129,7 @@ def question_about(
         reached=evaluation.reached[row, attempt.action].copy(),
         predicted=evaluation.predicted[row].copy(),
         reason=trust.outside(local, attempt.step + 1) or trust.outside(evaluation.local[row], attempt.step),
-        candidates=evaluation.reached[row].copy(),
+        candidates=evaluation.reached[row, :FIRST_TWIST].copy(),
         place=place,
     )
 

@@ -11,6 +11,7 @@ from koopdqn.rl.history import History
 from koopdqn.rl.network import observe
 from koopdqn.tasks.actions import COUNT, within_tolerance
 from koopdqn.tasks.task import Task, demonstrator_next_poses
+from koopdqn.tasks.twists import twists_between
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class Transitions:
         steps: (N,) steps made before in the episodes.
         sources: (N,) sources of the rewards (:data:`koopdqn.intent.reward.SOURCES`).
         answers: (N,) number of the answer that the reward comes from, or −1.
+        twists: (N, 3 or 6) the actions as twists; None where Table 1's are all there are.
     """
 
     observations: NDArray[np.float32]
@@ -44,9 +46,10 @@ class Transitions:
     steps: NDArray[np.int64]
     sources: NDArray[np.int64]
     answers: NDArray[np.int64]
+    twists: NDArray[np.float32] | None = None
 
 
-FIELDS = tuple(Transitions.__dataclass_fields__)
+FIELDS = tuple(name for name in Transitions.__dataclass_fields__ if name != "twists")
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Labelled:
         """Their rewards (M,)."""
         return np.asarray(self.evaluation.reward[self.rows, self.actions])
 
-    def transitions(self, task: Task, *, step_back: bool) -> Transitions:
+    def transitions(self, task: Task, *, step_back: bool, continuous: bool = False) -> Transitions:
         """Return the transitions of a task in which wrong actions are undone, or are not."""
         evaluation, each = self.evaluation, (self.rows, self.actions)
         wrong = self.rewards < 0
@@ -92,7 +95,12 @@ class Labelled:
             steps=evaluation.steps[self.rows],
             sources=evaluation.source[each],
             answers=evaluation.answer[each],
+            twists=self._twists(task) if continuous else None,
         )
+
+    def _twists(self, task: Task) -> NDArray[np.float32]:
+        before, reached = self.evaluation.poses[self.rows], self.evaluation.reached[self.rows, self.actions]
+        return twists_between(before, reached, task).astype(np.float32)
 
     def count(self, history: History, task: Task) -> None:
         """Count the rewards in a history, by source, and those that the demonstrator agrees with."""
@@ -119,9 +127,17 @@ class ReplayBuffer:
         added: number of transitions added and not removed, overwritten ones included.
     """
 
-    def __init__(self, capacity: int, inputs: int) -> None:
-        """Make an empty buffer for observations of ``inputs`` values."""
+    def __init__(self, capacity: int, inputs: int, twist: int = 0, per_state: int = COUNT) -> None:
+        """Make an empty buffer.
+
+        Args:
+            capacity: largest number of transitions held.
+            inputs: number of observed values.
+            twist: numbers of a twist; 0 where Table 1's actions are all there are.
+            per_state: most transitions of a state that are stored together.
+        """
         self.capacity = capacity
+        self._per_state = per_state
         self.added = 0
         self._arrays: dict[str, np.ndarray] = {
             "observations": np.zeros((capacity, inputs), np.float32),
@@ -137,6 +153,8 @@ class ReplayBuffer:
             "sources": np.zeros(capacity, np.int64),
             "answers": np.zeros(capacity, np.int64),
         }
+        if twist:
+            self._arrays["twists"] = np.zeros((capacity, twist), np.float32)
 
     def __len__(self) -> int:
         """Return the number of transitions held."""
@@ -146,8 +164,8 @@ class ReplayBuffer:
         """Add transitions; a full ring overwrites the oldest."""
         count = len(transitions.actions)
         index = (self.added + np.arange(count)) % self.capacity
-        for name in FIELDS:
-            self._arrays[name][index] = getattr(transitions, name)
+        for name, values in self._arrays.items():
+            values[index] = getattr(transitions, name)
         self.added += count
 
     def sample(self, rng: np.random.Generator, count: int) -> Transitions:
@@ -161,7 +179,7 @@ class ReplayBuffer:
         """
         held = len(self)
         drawn = self.draw(rng, count)
-        width = min(held, 2 * COUNT - 1)
+        width = min(held, 2 * self._per_state - 1)
         near = (drawn[:, None] + np.arange(width) - width // 2) % held
         poses = self._arrays["poses"]
         # Comparing one coordinate first is faster: few poses share it without being equal.
@@ -177,7 +195,7 @@ class ReplayBuffer:
     def at(self, index: np.ndarray) -> Transitions:
         """Return the transitions in rows (M,)."""
         # Twice as fast as indexing.
-        return Transitions(**{name: self._arrays[name].take(index, axis=0) for name in FIELDS})
+        return Transitions(**{name: values.take(index, axis=0) for name, values in self._arrays.items()})
 
     def held(self) -> Transitions:
         """Return a copy of all transitions."""
@@ -213,5 +231,5 @@ class ReplayBuffer:
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Hold what :meth:`state` returned."""
         self.added = int(state["added"])
-        for name in FIELDS:
-            self._arrays[name][: len(self)] = state[name]
+        for name, values in self._arrays.items():
+            values[: len(self)] = state[name]

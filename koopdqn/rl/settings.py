@@ -2,13 +2,13 @@
 
 import os
 from itertools import pairwise
-from typing import Literal
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from koopdqn.errors import BadInputError
-from koopdqn.settings import Count, Counts, Fraction, Name, NonNegativeInt, Settings
-from koopdqn.tasks.actions import COUNT
+from koopdqn.settings import Count, Counts, Fraction, Name, NonNegative, NonNegativeInt, Settings
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST
 
 
 class NetworkSettings(Settings):
@@ -24,8 +24,11 @@ class NetworkSettings(Settings):
     )
 
 
-class AgentSettings(Settings):
-    """The agent. Steps are counted in actions tried, never in seconds."""
+class Agent(Settings):
+    """What all agents have. Steps are counted in actions tried, never in seconds."""
+
+    continuous: ClassVar[bool]
+    """Whether actions are twists (:mod:`koopdqn.tasks.twists`) instead of Table 1's."""
 
     name: Name
     network: NetworkSettings
@@ -33,7 +36,6 @@ class AgentSettings(Settings):
         default="cpu", description="device of the networks; only the CPU is reproducible to the byte"
     )
     gamma: float = Field(ge=0, lt=1, description="discount γ")
-    double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
     learning_rate: float = Field(gt=0, le=1)
     drawn: Literal["states", "transitions"] = Field(
         description="what an update draws from the replay buffer: states with all their transitions, or single"
@@ -45,7 +47,7 @@ class AgentSettings(Settings):
     target_rate: float = Field(gt=0, le=1, description="rate τ of a target update: 1 copies the online network")
     target_every: Count = Field(description="updates between two target updates")
     policy_network: Literal["online", "target"] = Field(
-        description="whose argmax is the policy: the online network, or the target, its average over many updates"
+        description="which network is the policy: the online one, or the target, its average over many updates"
     )
     episodes_at_once: Count = Field(description="parallel episodes")
     rounds_per_update: Count = Field(description="steps of all episodes between updates")
@@ -72,7 +74,7 @@ class AgentSettings(Settings):
     exploring_steps: int = Field(ge=1, le=1_000_000, description="step limit of exploring episodes")
 
     @model_validator(mode="after")
-    def _check_trials(self) -> "AgentSettings":
+    def _check_trials(self) -> Self:
         if self.trials == "all" and not self.step_back:
             raise ValueError("trials=all must go with step_back=true, as trying all actions is stepping back from each")
         return self
@@ -81,6 +83,45 @@ class AgentSettings(Settings):
         """Return ε after a number of actions: linear from start to end."""
         share = min(1.0, steps / self.epsilon_steps)
         return self.epsilon_start + share * (self.epsilon_end - self.epsilon_start)
+
+
+class AgentSettings(Agent):
+    """The double DQN, whose actions are Table 1's."""
+
+    continuous: ClassVar[bool] = False
+
+    double: bool = Field(description="double DQN (van Hasselt et al. 2016); false is Eq. 3 as written")
+
+
+class ActorCriticSettings(Agent):
+    """Twin delayed deep deterministic policy gradient (TD3, Fujimoto et al. 2018), whose actions are twists.
+
+    In every state all actions whose reward is known are attempted, and updates draw states with all their transitions.
+    """
+
+    continuous: ClassVar[bool] = True
+    drawn: Literal["states"] = "states"
+    trials: Literal["all"] = "all"
+
+    critic_states: Count = Field(
+        description="states of a batch whose transitions the critics learn from; the actor: all"
+    )
+    critic_hidden: Counts = Field(min_length=2, max_length=2, description="units of each hidden layer of a critic")
+    actor_rate: float = Field(gt=0, le=1, description="learning rate of the actor")
+    near: Count = Field(description="twists attempted near the actor's own, which is attempted too")
+    near_spread: float = Field(gt=0, le=10, description="standard deviation of their numbers, in tolerances")
+    smoothing: float = Field(ge=0, le=10, description="standard deviation of the target policy's noise, in tolerances")
+    smoothing_most: float = Field(ge=0, le=10, description="largest such noise of a number, in tolerances")
+    actor_every: Count = Field(description="updates of the critics between two of the actor")
+    imitation: NonNegative = Field(
+        description="weight in the actor's loss of the squared distance from a state's best action, as in"
+        " TD3+BC (Fujimoto & Gu 2021); 0 for the critic's gradient alone"
+    )
+
+    @property
+    def twists(self) -> int:
+        """How many twists without a name are attempted in a state."""
+        return 1 + self.near
 
 
 class TrainSettings(Settings):
@@ -118,9 +159,11 @@ _COPIES_OF_ACTIVATIONS = 4
 _TRANSITION = 8 + 4 + 3 + 14 * 8 + 3 * 8
 # Bytes of a parallel episode: ten reached poses and their evaluation, with temporaries.
 _EPISODE = 16 * 1024
+# Numbers of a twist.
+_TWIST = 6
 
 
-def needed_bytes(agent: AgentSettings, inputs: int) -> dict[str, int]:
+def needed_bytes(agent: Agent, inputs: int) -> dict[str, int]:
     """Return an estimate of an agent's memory [bytes], by the setting it depends on most.
 
     Args:
@@ -132,15 +175,24 @@ def needed_bytes(agent: AgentSettings, inputs: int) -> dict[str, int]:
     # Every weight is drawn in double precision before it is kept.
     largest = max(before * after for before, after in pairwise(widths))
     weights = sum(before * after for before, after in pairwise(widths))
-    return {
+    needed = {
         "agent.network": _COPIES_OF_WEIGHTS * _FLOAT32 * weights + 2 * _FLOAT32 * largest,
         "agent.batch": _COPIES_OF_ACTIVATIONS * _FLOAT32 * agent.batch * tried * sum(widths),
         "agent.replay": agent.replay * (2 * _FLOAT32 * inputs + _TRANSITION),
         "agent.episodes_at_once": agent.episodes_at_once * _EPISODE,
     }
+    if isinstance(agent, ActorCriticSettings):
+        first, second = agent.critic_hidden
+        weights = 2 * (first * (widths[0] + _TWIST + second) + second)
+        attempts = FIRST_TWIST + agent.twists
+        needed["agent.critic_hidden"] = _COPIES_OF_WEIGHTS * _FLOAT32 * weights
+        needed["agent.batch"] += _COPIES_OF_ACTIVATIONS * _FLOAT32 * agent.batch * attempts * 2 * (first + second)
+        needed["agent.replay"] += agent.replay * _FLOAT32 * _TWIST
+        needed["agent.near"] = agent.episodes_at_once * attempts * _EPISODE // COUNT
+    return needed
 
 
-def check_memory(agent: AgentSettings, inputs: int, available: int | None = None) -> None:
+def check_memory(agent: Agent, inputs: int, available: int | None = None) -> None:
     """Check that an agent fits into memory, so that no run fails half-way for lack of it.
 
     Args:
@@ -163,7 +215,7 @@ def check_memory(agent: AgentSettings, inputs: int, available: int | None = None
     )
 
 
-def check_device(agent: AgentSettings) -> str:
+def check_device(agent: Agent) -> str:
     """Return the name of the device of an agent's networks: ``cpu``, or the GPU's name.
 
     Raises:

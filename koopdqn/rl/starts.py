@@ -6,7 +6,7 @@ import numpy as np
 
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.pose import Array, turned_toward
-from koopdqn.rl.settings import AgentSettings
+from koopdqn.rl.settings import Agent
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.workcell import Workcell
 
@@ -53,7 +53,7 @@ class StartSampler:
     frame: StartFrame
     trajectories: list[Array]
     step_limit: int
-    agent: AgentSettings | None = None
+    agent: Agent | None = None
 
     def draw(self, rng: np.random.Generator) -> EpisodeStart:
         """Return the start of the next episode."""
@@ -82,7 +82,7 @@ class StartSampler:
             break
         return poses[0], joints[0]
 
-    def _along_demonstration(self, rng: np.random.Generator, agent: AgentSettings) -> EpisodeStart:
+    def _along_demonstration(self, rng: np.random.Generator, agent: Agent) -> EpisodeStart:
         task, reachability = self.workcell.task, self.workcell.reachability
         for _ in range(_MOST_DRAWS):
             trajectory = self.trajectories[rng.integers(len(self.trajectories))]

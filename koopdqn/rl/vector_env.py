@@ -4,15 +4,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koopdqn.intent.reward import ASKED, RULE, ActionEvaluation
 from koopdqn.oracles.base import Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
+from koopdqn.rl.network import observe
 from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
 from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.rl.starts import EpisodeStart, StartSampler
-from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST
 from koopdqn.tasks.workcell import Motion, Workcell
 
 # Poses that differ by less [m, or in a quaternion's entries] are the same.
@@ -31,8 +33,8 @@ class Episodes:
         limits: (N,) steps after which each is truncated.
         numbers: (N,) number of each episode in the run, from 0.
         rewards: (N,) sum of the rewards so far.
-        tried: (N, 10) wrong actions tried at the present pose.
-        stored: (N, 10) actions at the present pose whose transitions are stored.
+        tried: (N, A) wrong actions tried at the present pose.
+        stored: (N, A) actions at the present pose whose transitions are stored.
         exploring: (N,) whether it is a short exploring episode.
     """
 
@@ -48,8 +50,8 @@ class Episodes:
     exploring: np.ndarray
 
     @classmethod
-    def empty(cls, count: int, joints: int) -> "Episodes":
-        """Return ``count`` episodes of an arm with ``joints`` joints that have not begun."""
+    def empty(cls, count: int, joints: int, actions: int = COUNT) -> "Episodes":
+        """Return ``count`` episodes of an arm with ``joints`` joints that have not begun, with that many actions."""
         return cls(
             poses=np.zeros((count, 7)),
             starts=np.zeros((count, 7)),
@@ -58,8 +60,8 @@ class Episodes:
             limits=np.zeros(count, dtype=np.int64),
             numbers=np.zeros(count, dtype=np.int64),
             rewards=np.zeros(count),
-            tried=np.zeros((count, COUNT), dtype=bool),
-            stored=np.zeros((count, COUNT), dtype=bool),
+            tried=np.zeros((count, actions), dtype=bool),
+            stored=np.zeros((count, actions), dtype=bool),
             exploring=np.zeros(count, dtype=bool),
         )
 
@@ -145,11 +147,16 @@ class VectorEnv:
         count: int,
         rng: np.random.Generator,
         asking: Asking = Asking(),  # noqa: B008 (frozen)
+        twists: int = 0,
     ) -> None:
-        """Begin ``count`` episodes at starts drawn with ``rng``."""
+        """Begin ``count`` episodes at starts drawn with ``rng``.
+
+        Where actions are continuous, ``twists`` of them are given to :meth:`evaluate_actions` in each.
+        """
         self.workcell = workcell
         self.feedback = feedback
-        self.episodes = Episodes.empty(count, len(workcell.arm.joint_names))
+        actions = FIRST_TWIST + twists if feedback.reward.continuous else COUNT
+        self.episodes = Episodes.empty(count, len(workcell.arm.joint_names), actions)
         self.put_off = PutOffQuestions(asking, feedback, count)
         self.begun = 0
         self._starts = starts
@@ -162,10 +169,19 @@ class VectorEnv:
         self.episodes.begin(index, self.begun, self._starts.draw(self._rng))
         self.begun += 1
 
-    def evaluate_actions(self, rows: np.ndarray | None = None) -> ActionEvaluation:
-        """Return the evaluation of all actions at the poses of the episodes, or of those whose indices are ``rows``."""
+    def observations(self) -> NDArray[np.float32]:
+        """Return the agent's observations (N, 5 or 8) at the poses of the episodes."""
+        frame = self.feedback.reward.model.start_frame
+        return observe(frame.to_frame(self.episodes.poses, self.episodes.starts), self.workcell.task)
+
+    def evaluate_actions(self, rows: np.ndarray | None = None, twists: Array | None = None) -> ActionEvaluation:
+        """Return the evaluation of all actions at the poses of the episodes, or of those whose indices are ``rows``.
+
+        ``twists`` (N, S, 3 or 6) are evaluated too, S at each pose.
+        """
         here, each = self.episodes, slice(None) if rows is None else rows
-        return self.feedback.evaluate_actions(*(held[each].copy() for held in (here.poses, here.steps, here.starts)))
+        poses, steps, starts = (held[each].copy() for held in (here.poses, here.steps, here.starts))
+        return self.feedback.evaluate_actions(poses, steps, starts, twists)
 
     def try_action(
         self,
@@ -176,7 +192,7 @@ class VectorEnv:
         *,
         ask: bool = False,
     ) -> Attempt:
-        """Try an action of Table 1 in an episode.
+        """Try an action in an episode.
 
         An action that the arm cannot carry out is wrong. If the reward is not known, the oracle is asked.
 

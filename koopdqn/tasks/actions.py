@@ -24,6 +24,12 @@ ACTIONS: Final = (
 """The actions in Table 1's order and words; indices count from 0, the paper's numbers from 1."""
 
 COUNT: Final = len(ACTIONS)
+SUGGESTED: Final = COUNT
+"""Index of the intent model's own suggestion, where actions are continuous (:mod:`koopdqn.tasks.twists`)."""
+FIRST_TWIST: Final = SUGGESTED + 1
+"""Indices from here on are of twists without a name."""
+NAMES: Final = (*ACTIONS, "follows the intent model", "goes its own way")
+"""The actions in words, by index: Table 1's, the suggestion, and any other twist."""
 ROTATING: Final = (0, 2, 3)
 """Indices of the actions that change orientation."""
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.actions import reached_poses
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.twists import reached_by
 from koopdqn.tasks.workcell import REASONS, Motion, Reachability
 
 SUCCESS: Final = "success"
@@ -23,7 +23,7 @@ FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
 _SAME_PLACE: Final = 1e-7
 
 Controller = Callable[[Array, Array], np.ndarray]
-"""Chooses the actions (N,) from poses (N, 7) of episodes that began at starts (N, 7)."""
+"""Chooses actions, indices (N,) or twists (N, 3 or 6), from poses (N, 7) of episodes that began at starts (N, 7)."""
 
 Moves = Callable[[Array, Array, Array, Array, np.ndarray], list[Motion]]
 """What becomes of a step to poses (N, 7), from poses (N, 7) with joints (N, 6), of episodes that began at starts (N, 7)
@@ -78,7 +78,7 @@ def roll_out(
             break
         poses = np.array([runs[i].poses[-1] for i in active])
         actions = controller(poses, starts[active])
-        reached = reached_poses(poses, task)[np.arange(len(active)), actions]
+        reached = reached_by(poses, actions, task)
         _advance([runs[i] for i in active], reached, task, reachability, moves)
         if cut_circles:
             places = np.round(np.array([runs[i].poses[-1] for i in active]) / _SAME_PLACE).astype(np.int64)

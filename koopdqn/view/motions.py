@@ -14,6 +14,7 @@ from koopdqn.evaluation.metrics import reference_paths
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
+from koopdqn.tasks.actions import FIRST_TWIST
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.task import Task
@@ -126,8 +127,10 @@ def learned_motions(
     found = []
     for index, episode in enumerate(roll_out(policy, task, workcell.reachability, starts, joints, step_limit)):
         begun = np.tile(starts[index], (len(episode.poses), 1))
-        evaluation = feedback.evaluate_actions(episode.poses, np.arange(len(begun)), begun)
-        taken = evaluation.source[np.arange(len(begun)), policy(episode.poses, begun)]
+        actions = policy(episode.poses, begun)
+        twists = actions[:, None] if actions.ndim > 1 else None
+        evaluation = feedback.evaluate_actions(episode.poses, np.arange(len(begun)), begun, twists)
+        taken = evaluation.source[np.arange(len(begun)), actions if actions.ndim == 1 else FIRST_TWIST]
         motion = learned_motion(f"start {index}", episode, task, references[index])
         found.append(replace(motion, sources=np.append(taken[:1], taken[:-1]), start=index))
         wished = intended_path(feedback.reward.model, task, starts[index], step_limit)

@@ -78,6 +78,7 @@ def update_row(prepared: Prepared) -> Row:
         trainer.collect()
     batch = trainer.replay.sample_states(np.random.default_rng(0), agent.batch)
     learner = trainer.learner
+    assert isinstance(learner, Learner)
     mine, theirs = compared(lambda: learner.update(batch), products(learner, batch), repeats=15)
     assert theirs is not None
     note = f"{agent.batch} states, one thread"

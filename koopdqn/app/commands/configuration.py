@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
@@ -21,7 +21,7 @@ from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.streaming import StreamSettings
 from koopdqn.report.schema import ReportSettings
 from koopdqn.rl.answers import FeedbackSettings
-from koopdqn.rl.settings import AgentSettings, TrainSettings
+from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.safety.guard import GuardSettings
 from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
@@ -39,6 +39,7 @@ class Inputs(Settings):
     """The root's own keys."""
 
     command: str
+    actions: Literal["table1", "continuous"] = "table1"
     seed: NonNegativeInt
     out: PathText
     run: PathText | None
@@ -61,7 +62,7 @@ class Configuration:
     intent: IntentSettings
     trust: TrustSettings
     oracle: OracleSettings
-    agent: AgentSettings
+    agent: Agent
     robot: Arm
     demo: DemoSettings
     fit: FitSettings
@@ -117,7 +118,12 @@ class Configuration:
             parts[names[key]] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
         if isinstance(parts["chosen"], Task):
             parts["chosen"] = parts["chosen"].scaled(parts["robot"].task_scale)
-        return cls(**parts)
+        made = cls(**parts)
+        continuous = made.inputs.actions == "continuous"
+        if made.agent.continuous != continuous:
+            kind = "td3, or another" if continuous else "fast, paper, or another"
+            raise BadInputError(f"agent: must be {kind} of actions={made.inputs.actions}, found {made.agent.name}")
+        return made
 
     def shaped_by(self) -> dict[str, Any]:
         """Return what decides a training run's bytes: no path, no date, no answer source, no stopping rule."""

@@ -17,7 +17,6 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.pose import POSITION
 from koopdqn.settings import shown
@@ -64,7 +63,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         evaluation = evaluate(
             workcell,
             policy,
-            IntentReward(config.task, intent.model, intent.trust, config.reward),
+            pipeline.intent_reward(config, intent.model, intent.trust),
             agent_steps(demonstrations, config.task),
             config.eval,
             step_limit,

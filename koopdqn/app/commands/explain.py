@@ -32,6 +32,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     source, chosen = config.inputs.run, config.explain
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
+    if config.inputs.actions != "table1":
+        raise BadInputError(f"actions: explain tells of the ten actions of Table 1, found {config.inputs.actions}")
     trained = read_trained(config, source)
     with console.stage("Moving the arm"):
         number, episode = _episode(config, trained)

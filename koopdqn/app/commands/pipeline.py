@@ -20,8 +20,10 @@ from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.fit import Fitted, agent_steps, fit
-from koopdqn.intent.reward import RewardSettings
+from koopdqn.intent.model import IntentModel
+from koopdqn.intent.reward import IntentReward, RewardSettings
 from koopdqn.intent.storage import StoredIntent, read_intent
+from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import MjcfArm
@@ -117,6 +119,9 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     """
     policy = run / POLICY
     about = read_artifact(policy, "policy").about
+    taken, found = ("continuous" if each else "table1" for each in ("actions" in about, config.agent.continuous))
+    if taken != found:
+        raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {found}")
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
         robot: Any = load_settings({**about["robot"], **_place_of(config.robot, about["robot"])}, Arm, "robot")
@@ -261,6 +266,11 @@ def fitted_intent(
     # Last, since a run that goes on takes this file as the sign that all was made.
     stored.write(folder / INTENT, config.task)
     return stored, fitted
+
+
+def intent_reward(config: Configuration, model: IntentModel, trust: TrustDomain) -> IntentReward:
+    """Return the reward function (Eqs. 15, 16) of a fitted intent for the config's actions."""
+    return IntentReward(config.task, model, trust, config.reward, continuous=config.agent.continuous)
 
 
 def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Path) -> StoredIntent:

@@ -15,7 +15,7 @@ from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.reward import BY_MODEL, IntentReward
+from koopdqn.intent.reward import BY_MODEL
 from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
@@ -55,7 +55,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     trajectories = intent.model.start_frame.each(agent_steps(demonstrations, config.task))
     trainer = Trainer(
         workcell,
-        IntentReward(config.task, intent.model, intent.trust, config.reward),
+        pipeline.intent_reward(config, intent.model, intent.trust),
         trajectories,
         oracle,
         config.agent,
@@ -76,7 +76,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     bar = dashboard is None and not config.oracle.shows_progress
     _learn(trainer, oracle, folder, shaped_by, began - before, dashboard, bar=bar)
     seconds = before + monotonic() - began
-    write_policy(folder / POLICY, trainer.best, config.agent.network, intent.model.start_frame, shaped_by)
+    made = trainer.best, config.agent.network, intent.model.start_frame, shaped_by
+    write_policy(folder / POLICY, *made, continuous=config.agent.continuous)
     report = train_report(config, trainer, seconds, made_from)
     write_json(folder / REPORT, report)
     # Here and not before: matplotlib takes a while to load, and learning need not wait for it.

@@ -11,7 +11,6 @@ from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.train import REPORT
 from koopdqn.artifact import read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
-from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.rl import checkpoint
@@ -54,7 +53,7 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     intent = read_intent(source / pipeline.INTENT, config.task)
     workcell = pipeline.open_scene(config)
     feedback = Feedback(
-        IntentReward(config.task, intent.model, intent.trust, config.reward),
+        pipeline.intent_reward(config, intent.model, intent.trust),
         ScriptedOracle(config.task),
         config.feedback,
     )

@@ -15,7 +15,7 @@ from koopdqn.untrusted import TARGET, check_target
 RECORD: Final = Path(".hydra") / "overrides.yaml"
 """Where Hydra writes the overrides of a run, in its folder."""
 
-GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "preset")
+GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "actions", "preset")
 """The config groups."""
 SECTIONS: Final = (
     *("import", "inspect", "demo", "fit", "reward", "feedback", "train", "eval", "report"),

@@ -18,7 +18,6 @@ from koopdqn.oracles.terminal.device import Graphics
 from koopdqn.oracles.terminal.graphics import Picture, Window, png
 from koopdqn.oracles.terminal.picture import Situation, SituationCamera
 from koopdqn.oracles.terminal.screen import Shown, compose, status_line
-from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.workcell import Workcell
 
 _WAIT_SECONDS: Final = 0.1
@@ -114,8 +113,8 @@ class TerminalOracle(Oracle):
             return None
         if key in _VERDICTS:
             return self._acknowledged(Answer(_VERDICTS[key], self._teacher, seconds))
-        if key.isdecimal() and key.isascii():
-            return self._better(int(key), question, seconds)
+        if len(key) == 1 and key in screen.CHOICE_KEYS:
+            return self._better(screen.CHOICE_KEYS.index(key), question, seconds)
         if key == "u":
             return self._undo(question)
         if key == "q":
@@ -137,8 +136,9 @@ class TerminalOracle(Oracle):
         return answer
 
     def _better(self, action: int, question: Question, seconds: float) -> Answer | None:
-        if action >= COUNT or not screen.choosable(question, self._workcell.task)[action]:
-            self._say(f"{action}: that action is never right here ({screen.SHORT[action]})")
+        choosable = screen.choosable(question, self._workcell.task)
+        if action >= len(choosable) or not choosable[action]:
+            self._say(f"{screen.CHOICE_KEYS[action]}: that action is never right here ({screen.SHORT[action]})")
             return None
         return self._acknowledged(Answer(action == question.action, self._teacher, seconds, action))
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,7 @@ from rich.text import Text
 
 from koopdqn import console, pose
 from koopdqn.oracles.base import Answer, Earlier, Question
-from koopdqn.tasks.actions import ACTIONS, COUNT, legal_actions
+from koopdqn.tasks.actions import COUNT, NAMES, legal_actions
 from koopdqn.tasks.task import Task
 
 SHORT: Final = (
@@ -25,8 +26,12 @@ SHORT: Final = (
     "-y",
     "+z",
     "-z",
+    "as the model",
+    "its own way",
 )
-"""Table 1's actions in a word or two, in its order."""
+"""All actions in a word or two, in the order of :data:`koopdqn.tasks.actions.NAMES`."""
+CHOICE_KEYS: Final = "0123456789m"
+"""The key that names each action as better; the last is there with continuous actions only."""
 _NOTHING_M: Final = 1e-6
 
 ASPECT: Final = (4, 3)
@@ -45,7 +50,7 @@ _MEANT: Final = Style(color="bright_cyan", bold=True)
 GOAL: Final = Style(color="green", bold=True)
 
 KEYS: Final = (
-    "y right   n wrong   0-9 better action   s skip   u undo",
+    "y right   n wrong   0-9 m better action   s skip   u undo",
     "p big picture   r replay motion   ? help   q pause",
 )
 HELP: Final = (
@@ -53,8 +58,8 @@ HELP: Final = (
     "",
     "y      right: a person could have gone this way",
     "n      wrong: it is undone, and another action is tried",
-    "0-9    wrong, and this action would have been right",
-    "       (naming the action itself says it is right)",
+    "0-9 m  wrong, and this action would have been right: m is",
+    "       the model's own (naming the action itself says right)",
     "s      skip: no answer, which is not a no",
     "u      undo the latest answer; again for the one before.",
     "       The arm asks again when it comes by",
@@ -186,7 +191,7 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
     drawn = f" (drawn {shown.times:.0f}x)" if shown.times else ""
     lines = [
         *(wrapped(asked_at_end.format(**vars(question.place)), room) if question.place else []),
-        *wrapped(f"Was this right? The arm {ACTIONS[question.action]}.", room, BOLD),
+        *wrapped(f"Was this right? The arm {NAMES[question.action]}.", room, BOLD),
         _pair("moved", moved(question) + drawn),
         _pair("to go", remaining(question, shown.task)),
         _pair("goal", nearer(question, shown.task)),
@@ -202,7 +207,7 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
     half = (len(texts) + 1) // 2
     cells = [_choice(action, text, question.action) for action, text in enumerate(texts)]
     column = max(len(cell) for cell in cells[:half]) + GAP
-    for first, second in zip(cells[:half], cells[half:], strict=True):
+    for first, second in zip_longest(cells[:half], cells[half:], fillvalue=Text("")):
         first.pad_right(column - len(first))
         keys.append(first + second)
     # On a small screen the question and its keys must stand, whatever else does not.
@@ -212,7 +217,9 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
 
 def _choice(action: int, text: str, asked: int) -> Text:
     style = DIM if text == "-" else _WENT if action == asked else Style()
-    return Text.assemble((f"{action}", BOLD if text != "-" else DIM), "*" if action == asked else " ", (text, style))
+    return Text.assemble(
+        (CHOICE_KEYS[action], BOLD if text != "-" else DIM), "*" if action == asked else " ", (text, style)
+    )
 
 
 def _pair(name: str, value: str) -> Text:
@@ -274,10 +281,10 @@ def opinion(question: Question) -> str:
 
 
 def choices(question: Question, task: Task) -> list[str]:
-    """Return what each of the ten keys would say, or why it cannot be said ("never right here")."""
+    """Return what each action's key would say, or why it cannot be said ("never right here")."""
     allowed = choosable(question, task)
     texts = []
-    for action in range(COUNT):
+    for action in range(len(allowed)):
         if not allowed[action]:
             texts.append("-")
             continue
@@ -291,10 +298,14 @@ def choices(question: Question, task: Task) -> list[str]:
 
 
 def choosable(question: Question, task: Task) -> np.ndarray:
-    """Return which actions (10,) may be named as better: those that the task allows and that do something."""
+    """Return which actions (A,) may be named as better: those that the task allows and that do something.
+
+    They are Table 1's, and with continuous actions the model's own suggestion.
+    """
     legal = legal_actions(task)
     if question.candidates is None:
         return legal
+    legal = np.append(legal, np.ones(len(question.candidates) - COUNT, dtype=bool))
     far = pose.position_distance(question.candidates, question.pose) > _NOTHING_M
     turned = pose.rotation_distance(question.candidates, question.pose) > _NOTHING_M
     return legal & (far | turned)
