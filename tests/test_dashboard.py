@@ -88,7 +88,7 @@ def test_the_same_seed_learns_the_same_with_and_without_it(monkeypatch: pytest.M
     assert "\x1b[2J" not in written
 
 
-def test_it_draws_four_times_a_second_and_takes_a_fiftieth_of_the_time_at_most(
+def test_it_draws_four_times_a_second_and_takes_a_hundredth_of_the_time_at_most(
     trained: Trainer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, took, drawn = 100.0, 0.001, []

@@ -23,7 +23,7 @@ from koopdqn.view.characters import Curve, Picture, Track, bars
 LEAST: Final = (80, 24)
 """Columns and rows below which there is no room for it."""
 _REDRAW_SECONDS: Final = 0.25
-_MOST_OF_TIME: Final = 0.02
+_MOST_OF_TIME: Final = 0.01
 """Most of the time that redrawing may take; what is slower is done less often."""
 _RECENT_SECONDS: Final = 3.0
 _NUMBERS_WIDTH: Final = 40
