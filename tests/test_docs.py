@@ -4,6 +4,7 @@ import importlib.util
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,6 @@ from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.resources import asset_path
 from koopdqn.schema import ReportModel
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,8 +91,10 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, text in named_files().items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
+    shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.syspath_prepend(str(tmp_path / "examples"))
     monkeypatch.delitem(sys.modules, "powers", raising=False)
     return tmp_path
 
@@ -134,18 +136,16 @@ def test_a_command_shown_composes_to_a_valid_config(
         if arguments:
             group.commands[arguments[0]].make_context(arguments[0], arguments[1:])
         return
-    own_arm: list[str] = []
-    for argument in arguments:
-        if argument.startswith("robot.path="):
-            own_arm = ["robot=mjcf", "robot.site=attachment_site"]
-            # Any arm will do that has the site of those shown.
-            path = lab / argument.removeprefix("robot.path=")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(asset_path("ur/ur5e.xml").read_bytes())
+    arm = [argument.removeprefix("robot.path=") for argument in arguments if argument.startswith("robot.path=")]
+    for path in arm:
+        (lab / path).parent.mkdir(parents=True)
+        text = (ROOT / "tests" / "seven.xml").read_text(encoding="utf-8")
+        (lab / path).write_text(text.replace('"flange"', '"attachment_site"'), encoding="utf-8")
     for argument in arguments:
         if argument.startswith("run="):
             made_by = "demo" if command == "demo" else "train"
-            stand_in_run(lab / argument.removeprefix("run="), "task=knife", f"command={made_by}", *own_arm)
+            own = ["robot=mjcf", "robot.site=attachment_site"] if arm else []
+            stand_in_run(lab / argument.removeprefix("run="), "task=knife", f"command={made_by}", *own)
     stand_in_run(lab / "runs" / "shelf" / "newest", "task=shelf", "command=train")
     shown = [] if "--cfg" in arguments else ["--cfg", "job"]
     status = cli.main([command, *arguments, *shown])

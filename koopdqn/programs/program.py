@@ -1,6 +1,7 @@
 """A learned path as a robot program: rolled out, smoothed, timed, and refused unless it can be played safely."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,9 @@ from koopdqn.safety.guard import Guard
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
+
+_SMOOTHING: Final = (1.0, 0.5, 0.25)
+"""Shares of the tolerance that are tried: a path learned close to an edge may be smoothed into it."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def make_program(
         WorkFailedError: the start cannot be taken, the goal is not reached, the arm cannot follow the path, something
             touches, or dynamics breaks a limit; the message names place and reason.
     """
-    arm, task = workcell.arm, workcell.task
+    arm = workcell.arm
     limits = Limits(
         settings.speed_share * np.array(arm.velocity_limits),
         np.full(len(arm.joint_names), settings.acceleration_rad_s2),
@@ -77,11 +81,32 @@ def make_program(
     start, joints = _start(workcell, settings, placement)
     episode = _learned(workcell, policy, start, joints, step_limit, placement, guard)
     learned = episode.poses if placement is None else placement.restored(episode.poses)
-    smooth = smoothed(learned, settings.tolerance_m, settings.tolerance_rad)
+    refused: WorkFailedError | None = None
+    for share in _SMOOTHING:
+        smooth = smoothed(learned, share * settings.tolerance_m, share * settings.tolerance_rad)
+        try:
+            return _checked(workcell, learned, smooth, joints, limits, settings, placement)
+        except WorkFailedError as error:
+            refused = refused or error
+    assert refused is not None
+    raise refused
+
+
+def _checked(
+    workcell: Workcell,
+    learned: Array,
+    smooth: Array,
+    joints: Array | None,
+    limits: Limits,
+    settings: ProgramSettings,
+    placement: Placement | None,
+) -> Program:
+    """Return the program along a smoothed path (T, 7); WorkFailedError unless it keeps all it must."""
+    arm, task = workcell.arm, workcell.task
     followed = _followed(workcell, smooth, joints)
     motion = timed(followed, arm.forward, limits, settings.period_s)
     check_free(workcell, motion)
-    check_rule(workcell.task, motion, placement)
+    check_rule(task, motion, placement)
     execution = check_dynamics(workcell, motion, settings)
     return Program(task.name, arm, motion, limits, learned, smooth, followed, execution)
 
