@@ -29,6 +29,8 @@ TIME_SCALE: Final = 2.0
 """As in `koopdqn eval`."""
 SEED: Final = 5000
 """Of the starts, the noise and the adversaries."""
+CYCLE: Final = 4
+"""Physics steps in a controller's cycle, for which one command holds: 8 ms."""
 TRACKING_MM, TRACKING_DEG = 2.0, 0.5
 """What an executed path must keep to its commands."""
 
@@ -67,7 +69,8 @@ class Condition:
 
         def change(commands: Array) -> Array:
             noisy = commands + rng.normal(0.0, 1.0, commands.shape) * self.noise_rad
-            heard = np.where(rng.random(len(commands)) < self.dropped, 0, np.arange(len(commands)))
+            lost = np.repeat(rng.random(-(-len(commands) // CYCLE)) < self.dropped, CYCLE)[: len(commands)]
+            heard = np.where(lost, 0, np.arange(len(commands)))
             return np.asarray(noisy[np.maximum.accumulate(heard)])
 
         return change
@@ -164,8 +167,8 @@ def table(known: dict[str, Any]) -> str:
         against = found["adversaries"]
         said = (
             f"guard: stopped {found['guard_stopped_learned']} of {found['paths']} learned paths"
-            f" {found['causes'] or ''}; of {against['episodes']} adversarial episodes {against['stopped']} were"
-            f" stopped and {against['broken']} broke a rule or touched"
+            f" ({', '.join(found['causes']) or 'no cause'}); of {against['episodes']} adversarial episodes"
+            f" {against['stopped']} were stopped and {against['broken']} broke a rule or touched"
         )
         rows.append((task, said, *[""] * 6))
     return rows_table(heads, rows)
