@@ -310,7 +310,7 @@ def test_a_damaged_checkpoint_is_not_gone_on_from_and_nothing_is_touched(
         ("- 5", "must be a list of overrides key=value of koopdqn's keys, found '5'"),
         ("- seed", "must be a list of overrides key=value of koopdqn's keys, found 'seed'"),
         ("- command=demo", "must name a run of 'train', found one of 'demo'"),
-        ("- depth=1", "unknown key 'depth'; valid: agent"),
+        ("- depth=1", "unknown key 'depth'; valid: actions"),
     ],
 )
 def test_a_damaged_record_of_overrides_is_refused(
