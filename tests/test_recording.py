@@ -448,6 +448,7 @@ def learned(folder: Path, recorder: Recorder, *overrides: str) -> tuple[float, f
     return success, unmatched
 
 
+@pytest.mark.slow
 def test_a_recorded_task_is_learned(tmp_path: Path, recorder: Recorder) -> None:
     assert learned(tmp_path, recorder, *SMALL) == (1.0, 0.0)
 

@@ -1,6 +1,7 @@
 """SQIL on the agent's DQN."""
 
 import numpy as np
+import pytest
 import torch
 from imitation.inferred import demonstrated_transitions
 from imitation.sqil import Sqil
@@ -35,6 +36,7 @@ def test_it_comes_to_prefer_the_demonstrated_actions_where_they_were_taken() -> 
     assert agreed > np.bincount(shown.actions).max() / len(shown.actions) + 0.1
 
 
+@pytest.mark.slow
 def test_it_learns_a_short_way() -> None:
     learned = begun().run(9000, success, check_every=50)
     assert success(learned.policy) >= 0.6
