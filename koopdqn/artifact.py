@@ -209,6 +209,9 @@ def described(settings: Settings) -> dict[str, Any]:
     node: dict[str, Any] = {TARGET: f"{cls.__module__}.{cls.__qualname__}"}
     for name, field in cls.model_fields.items():
         value = getattr(settings, name)
+        if not field.is_required() and not field.default and value == field.default:
+            # An absent optional part: files written before it existed say the same.
+            continue
         node[name] = _plain(value)
         # Only where a subclass may stand is its name read; elsewhere it would be an unknown key.
         if type(value) is field.annotation and isinstance(value, Settings):

@@ -13,6 +13,7 @@ from koopdqn.demonstrations.generate import generate as generate_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.evaluate import Evaluation
 from koopdqn.evaluation.evaluate import evaluate as evaluate_policy
+from koopdqn.intent.detour import around_obstacles
 from koopdqn.intent.fit import Fitted, agent_steps
 from koopdqn.intent.fit import fit as fit_intent
 from koopdqn.intent.reward import IntentReward
@@ -89,7 +90,8 @@ def generate(config: Configuration) -> Demonstrations:
         return pipeline.demonstrations_read(config, config.inputs.demos)
     pipeline.check_scripted(config)
     seed = config.inputs.seed
-    return generate_demonstrations(config.task, open_workcell(config).reachability, config.demo, seed).demonstrations
+    clear = open_workcell(config).without_obstacles()
+    return generate_demonstrations(clear.task, clear.reachability, config.demo, seed).demonstrations
 
 
 def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
@@ -100,6 +102,17 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
 def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
     """Return the reward function (Eqs. 15, 16) of a fitted intent."""
     return IntentReward(config.task, fitted.model, fitted.trust, config.reward)
+
+
+def reward_around_obstacles(
+    config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted
+) -> IntentReward:
+    """Return the reward function of a fitted intent, bent around obstacles of the task.
+
+    Raises:
+        BadInputError: obstacles leave no way.
+    """
+    return around_obstacles(workcell, intent_reward(config, fitted), agent_steps(demonstrations, config.task))
 
 
 def train(
@@ -123,6 +136,7 @@ def train(
         PauseRequested: who answers wants to go on another time.
     """
     from koopdqn.rl.algorithm1 import Trainer
+    from koopdqn.rl.around import answering
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.policy import Policy
     from koopdqn.rl.questions import Asking
@@ -130,12 +144,12 @@ def train(
 
     check_device(config.agent)
     workcell, seed = open_workcell(config), config.inputs.seed
-    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, config.task))
+    reward = reward_around_obstacles(config, workcell, demonstrations, fitted)
     trainer = Trainer(
         workcell,
-        intent_reward(config, fitted),
-        trajectories,
-        oracle or config.oracle.open(workcell, seed, Path()),
+        reward,
+        reward.model.placed(agent_steps(demonstrations, config.task)),
+        oracle or answering(config.oracle.open(workcell, seed, Path()), config.oracle, reward.model),
         config.agent,
         config.train,
         seed,
@@ -150,10 +164,11 @@ def train(
 
 def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
     """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``)."""
+    workcell = open_workcell(config)
     return evaluate_policy(
-        open_workcell(config),
+        workcell,
         trained.policy,
-        intent_reward(config, fitted),
+        reward_around_obstacles(config, workcell, demonstrations, fitted),
         agent_steps(demonstrations, config.task),
         config.eval,
         trained.step_limit,
@@ -178,7 +193,7 @@ def environment_parts(
     longest = max(len(rows) for rows in agent_steps(demonstrations, config.task))
     return EnvironmentParts(
         workcell,
-        intent_reward(config, fitted),
+        reward_around_obstacles(config, workcell, demonstrations, fitted),
         oracle or config.oracle.open(workcell, config.inputs.seed, Path()),
         int(config.train.step_limit_factor * longest),
         config.feedback,

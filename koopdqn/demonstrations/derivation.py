@@ -17,6 +17,7 @@ from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Positive
 from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
+from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
@@ -74,6 +75,7 @@ class Derivation(TaskChoice):
     held_limit_rad: Positive = Field(
         description="rotation distance from the goal up to which orientation counts as held [rad]"
     )
+    obstacles: Obstacles = Field(default=(), description="what stands in the scene and is kept clear of")
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
         """Return the task of demonstrations.
@@ -148,6 +150,7 @@ class Derivation(TaskChoice):
             goal_tolerance_m=self.goal_tolerance_m,
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
             person=self.person,
+            obstacles=self.obstacles,
             variation_m=0.0,
             least_clearance_m=0.0,
             turning=turning,

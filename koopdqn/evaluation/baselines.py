@@ -214,7 +214,7 @@ def baseline_episodes(
     yield "straight_line", followed(lambda start: straight_path(start, task.goal, task))
     # Of equals the first.
     yield "constant_action", max((controlled(_always(action)) for action in range(COUNT)), key=_successes)
-    yield "greedy", controlled(Greedy(model, task))
+    yield "greedy", controlled(Greedy(model.unbent, task))
     yield "argmax_reward", controlled(best_by_reward)
     yield "nearest_velocity", controlled(Greedy(model, task, NearestVelocity.of(placed, task)))
     yield "mean_tangent", controlled(Greedy(model, task, MeanTangent.of(placed, task)))

@@ -49,14 +49,19 @@ def write_policy(
     write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network), "frame": frame.described()}))
 
 
-def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
+def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
     """Read a policy for a task, and its metadata.
+
+    With ``anywhere`` the task may have obstacles that the policy was trained without.
 
     Raises:
         BadInputError: the file is missing, damaged, of another task, or its arrays do not fit its settings.
     """
     artifact = read_artifact(path, KIND)
     about = dict(artifact.about)
+    trained = about.get("task")
+    if anywhere and isinstance(trained, dict) and not trained.get("obstacles"):
+        task = task.without_obstacles()
     check_task(f"policy {path}", about.get("task"), task)
     with reading(f"policy {path}"):
         node = {key: value for key, value in about["network"].items() if key != "target"}

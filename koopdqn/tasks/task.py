@@ -11,6 +11,7 @@ from koopdqn import pose
 from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
 from koopdqn.settings import Settings, Vector3, Vector4
+from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson, Expert, ReferencePath
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE
@@ -57,6 +58,7 @@ class Task(TaskChoice):
     person: AnyPerson = Field(description="who demonstrates and answers")
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
+    obstacles: Obstacles = Field(default=(), description="what else stands in the scene and is kept clear of")
 
     @model_validator(mode="after")
     def _check_step(self) -> "Task":
@@ -183,6 +185,10 @@ class Task(TaskChoice):
         """Return the task with its start region scaled by ``scale``; tilts stay."""
         x, y, z = self.start_half_range_m
         return self.model_copy(update={"start_half_range_m": (scale * x, scale * y, scale * z)})
+
+    def without_obstacles(self) -> Self:
+        """Return the task with nothing in its scene but its own furniture."""
+        return self.model_copy(update={"obstacles": ()})
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7) drawn uniformly from the start region, tilts about the turn's axis."""

@@ -17,7 +17,6 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.pose import POSITION
 from koopdqn.settings import shown
@@ -39,12 +38,13 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
+    from koopdqn.rl.around import around
     from koopdqn.rl.policy import read_policy
 
     source = config.inputs.run
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
-    policy, about = read_policy(source / POLICY, config.task)
+    policy, about = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
@@ -60,12 +60,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
         check_film(film, "eval.video")
     workcell = pipeline.open_scene(config)
+    trajectories = agent_steps(demonstrations, config.task)
+    reward = pipeline.reward_of(config, workcell, intent, trajectories)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
-            policy,
-            IntentReward(config.task, intent.model, intent.trust, config.reward),
-            agent_steps(demonstrations, config.task),
+            around(policy, reward.model),
+            reward,
+            trajectories,
             config.eval,
             step_limit,
             stage.advance,
@@ -102,7 +104,8 @@ def _film(
 
     references = dict(zip(map(id, evaluation.compared), evaluation.references, strict=True))
     learned = learned_motion("a held-out start", drawn, workcell.task, references.get(id(drawn)))
-    shown = demonstrated_motions(demonstrations.items, workcell.reachability, workcell.task, len(demonstrations))
+    clear = workcell.without_obstacles().reachability
+    shown = demonstrated_motions(demonstrations.items, clear, workcell.task, len(demonstrations))
     pipeline.film(path, workcell.scene, learned, shown)
 
 

@@ -15,7 +15,10 @@ from koopdqn.app.commands.train import REPORT
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
+from koopdqn.intent.fit import agent_steps
+from koopdqn.intent.storage import read_intent
 from koopdqn.paths import arc_lengths
 from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
@@ -36,10 +39,11 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         BadInputError: the run holds no policy of this task, or the start breaks a rule.
         WorkFailedError: there is no program that keeps every limit and touches nothing.
     """
+    from koopdqn.rl.around import around
     from koopdqn.rl.policy import read_policy
 
     settings = config.program
-    policy, _ = read_policy(run / POLICY, config.task)
+    policy, _ = read_policy(run / POLICY, config.task, anywhere=True)
     step_limit = step_limit_of(run / REPORT)
     workcell = pipeline.open_scene(config)
     placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
@@ -47,7 +51,14 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
     if isinstance(config.task, DemonstratedTask):
         console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
-    program = make_program(workcell, policy, settings, step_limit, placement)
+    if placement is not None and config.task.obstacles:
+        raise BadInputError(
+            "program.frame: must be placed where obstacles stand in the scene, found recorded: they were not there"
+        )
+    intent = read_intent(run / pipeline.INTENT, config.task)
+    shown = agent_steps(pipeline.demonstrations_of(config, run), config.task)
+    served = around(policy, pipeline.reward_of(config, workcell, intent, shown).model)
+    program = make_program(workcell, served, settings, step_limit, placement)
     files: dict[str, str] = {}
     for name in settings.formats:
         file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]

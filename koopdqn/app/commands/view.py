@@ -15,12 +15,13 @@ from koopdqn.artifact import read_artifact, reading
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.errors import BadInputError
-from koopdqn.intent.reward import IntentReward
+from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import POSITION
 from koopdqn.resources import conf_dir
 from koopdqn.rl import checkpoint
+from koopdqn.rl.around import around
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import read_policy
 from koopdqn.robot.scene import SceneBuilder
@@ -61,15 +62,13 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
 
 def _of_run(config: Configuration, source: Path) -> Shown:
-    policy, _ = read_policy(source / POLICY, config.task)
+    policy, _ = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)
     workcell = pipeline.open_scene(config)
-    feedback = Feedback(
-        IntentReward(config.task, intent.model, intent.trust, config.reward),
-        ScriptedOracle(config.task),
-        config.feedback,
-    )
+    reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
+    served = around(policy, reward.model)
+    feedback = Feedback(reward, ScriptedOracle(config.task), config.feedback)
     path = checkpoint.checkpoint_path(source)
     if path.is_file():
         arrays = read_artifact(path, checkpoint.KIND).arrays
@@ -78,8 +77,9 @@ def _of_run(config: Configuration, source: Path) -> Shown:
     starts, limit = min(config.view.starts, config.eval.episodes), step_limit_of(source / REPORT)
     referred = pipeline.held_out_of(config) is None
     with console.stage("Moving the arm"):
-        learned = learned_motions(workcell, policy, feedback, config.eval, starts, limit, referred=referred)
-        shown = demonstrated_motions(demonstrations.items, workcell.reachability, config.task, _FOLLOWED)
+        learned = learned_motions(workcell, served, feedback, config.eval, starts, limit, referred=referred)
+        clear = workcell.without_obstacles().reachability
+        shown = demonstrated_motions(demonstrations.items, clear, config.task, _FOLLOWED)
     return Shown(
         f"koopdqn: task {config.task.name}",
         (

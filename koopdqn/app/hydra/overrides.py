@@ -68,6 +68,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
       ``program.start=``.
+    - ``obstacles=FILE`` becomes ``task.obstacles=`` with what the file holds.
     - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
@@ -198,10 +199,28 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
+    if name == "obstacles":
+        return _obstacles(value)
     name = f"{command}.video" if name == "video" and command in _FILMED else _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
+
+
+def _obstacles(value: str) -> str:
+    """Return the override that holds the obstacles of a file themselves, so that a run's record needs no file."""
+    from koopdqn.artifact import described
+    from koopdqn.tasks.obstacles import read_obstacles
+
+    found = [described(each) for each in read_obstacles(Path(_unquoted(value)).expanduser())]
+    nodes = [",".join(f"{key}:{_grammar(held)}" for key, held in node.items() if key != "target") for node in found]
+    return f"++task.obstacles=[{','.join(f'{{{node}}}' for node in nodes)}]"
+
+
+def _grammar(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{','.join(_grammar(each) for each in value)}]"
+    return _literal(value) if isinstance(value, str) else repr(value)
 
 
 def _is_override(text: str) -> bool:
