@@ -15,7 +15,7 @@ from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotati
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
-from koopdqn.settings import Fraction, Positive
+from koopdqn.settings import Fraction, Positive, Vector3
 from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
 from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
@@ -76,6 +76,9 @@ class Derivation(TaskChoice):
         description="rotation distance from the goal up to which orientation counts as held [rad]"
     )
     obstacles: Obstacles = Field(default=(), description="what stands in the scene and is kept clear of")
+    goal_half_range_m: Vector3 | None = Field(
+        default=None, description="half the region from which goals are drawn, along each axis; null: the goal stays"
+    )
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
         """Return the task of demonstrations.
@@ -151,6 +154,7 @@ class Derivation(TaskChoice):
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
             person=self.person,
             obstacles=self.obstacles,
+            goal_half_range_m=self.goal_half_range_m,
             variation_m=0.0,
             least_clearance_m=0.0,
             turning=turning,

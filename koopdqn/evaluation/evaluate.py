@@ -14,13 +14,15 @@ from koopdqn.evaluation.metrics import hausdorff_mm, measure, reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, HoldoutReport, MethodReport
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
-from koopdqn.settings import Count, Settings
+from koopdqn.settings import Count, Settings, Vector3
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.workcell import Workcell
 
 # Sets the starts' random stream apart from those of demonstrations (1), training (2) and its checks (3),
 # even if the seeds are equal.
 _STREAM = 4
+# A start within this many goal tolerances of the goal is none.
+_CLEAR_OF_GOAL = 3.0
 
 
 class EvaluationSettings(Settings):
@@ -39,6 +41,9 @@ class EvaluationSettings(Settings):
         ge=1, le=1000, description="how many times robot.step_seconds one step takes in that execution"
     )
     baselines: bool = Field(description="also measure methods that learn nothing, from the same starts")
+    goal: Vector3 | None = Field(
+        default=None, description="where the goal is, for a task whose goal moves; null: drawn anew at every start [m]"
+    )
     video: bool = Field(description="also write a film of a learned path beside a demonstration, eval.mp4")
 
 
@@ -66,14 +71,55 @@ def work_units(settings: EvaluationSettings) -> int:
     return methods * settings.episodes + (settings.dynamics_episodes if settings.dynamics else 0)
 
 
-def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> tuple[Array, Array, int]:
-    """Return the held-out starts (N, 7), joints (N, 6) [rad] there, and how many draws were drawn again.
+@dataclass(frozen=True)
+class Drawn:
+    """Held-out starts.
+
+    Attributes:
+        starts: (N, 7) as seen from their goals.
+        joints: (N, 6) [rad] there.
+        moved: (N, 3) [m] by which the goals are moved; zeros unless the task's goal moves.
+        redrawn: how many draws were drawn again.
+    """
+
+    starts: Array
+    joints: Array
+    moved: Array
+    redrawn: int
+
+
+def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> Drawn:
+    """Return the held-out starts, and the goals of a task whose goal moves.
 
     Raises:
-        BadInputError: hardly any start of the region can be taken.
+        BadInputError: hardly any start of the region can be taken, or the goal given is none of the task's.
     """
-    region = workcell.task.with_starts_scaled(settings.start_scale)
-    return workcell.reachability.draw_starts(region, np.random.default_rng([settings.seed, _STREAM]), settings.episodes)
+    task, rng = workcell.task, np.random.default_rng([settings.seed, _STREAM])
+    region = task.with_still_goal().with_starts_scaled(settings.start_scale)
+    starts, joints, redrawn = workcell.reachability.draw_starts(region, rng, settings.episodes)
+    moved = np.zeros((len(starts), 3))
+    if settings.goal is not None:
+        moved += task.goal_displacement(settings.goal)
+    elif task.goal_half_range_m is not None:
+        half = np.array(task.goal_half_range_m)
+        for row, start in enumerate(starts):
+            again = -1
+            while again < 0 or not _can_go(workcell, start, moved[row]):
+                moved[row], again = rng.uniform(-half, half), again + 1
+            redrawn += again
+    starts = starts.copy()
+    starts[:, pose.POSITION] -= moved
+    return Drawn(starts, joints, moved, redrawn)
+
+
+def _can_go(workcell: Workcell, start: Array, moved: Array) -> bool:
+    """Return whether the arm can take the goal moved by (3,) [m], and a start (7,) is not at it already."""
+    goal = workcell.task.goal.copy()
+    goal[pose.POSITION] += moved
+    apart = float(pose.position_distance(start, goal))
+    return (
+        apart > _CLEAR_OF_GOAL * workcell.task.goal_tolerance_m and workcell.reachability.enter(goal).joints is not None
+    )
 
 
 def evaluate(
@@ -103,26 +149,35 @@ def evaluate(
         BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
     """
     task = workcell.task
-    starts, joints, redrawn = drawn_starts(workcell, settings)
+    drawn = drawn_starts(workcell, settings)
+    starts, joints, moved = drawn.starts, drawn.joints, drawn.moved
     references = reference_paths(task, starts, step_limit) if held_out is None else None
-    episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
+    episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit, moved=moved)
     advance(len(episodes))
     baselines = {}
     if settings.baselines:
-        for name, made in baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit):
+        for name, made in baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit, moved):
             baselines[name] = _measured(workcell, reward, made, references)
             advance(len(made))
     holdout, compared = None, episodes if held_out is None else []
     if held_out:
         holdout, compared = _holdout(
-            workcell, policy, reward, trajectories, held_out, step_limit, baselines=settings.baselines
+            workcell,
+            policy,
+            reward,
+            trajectories,
+            held_out,
+            step_limit,
+            # A goal that is drawn anew at every start is none of the held-out demonstrations'.
+            np.zeros(3) if settings.goal is None else moved[0],
+            baselines=settings.baselines,
         )
     report = EvaluationReport(
         task=task.name,
         episodes=settings.episodes,
         seed=settings.seed,
         start_scale=settings.start_scale,
-        redrawn_starts=redrawn,
+        redrawn_starts=drawn.redrawn,
         step_limit=step_limit,
         dynamics=_dynamics(workcell, episodes, settings, advance) if settings.dynamics else None,
         baselines=Baselines(**baselines) if settings.baselines else None,
@@ -158,12 +213,16 @@ def _holdout(
     trajectories: list[Array],
     held_out: list[Array],
     step_limit: int,
+    moved: Array,
     *,
     baselines: bool,
 ) -> tuple[HoldoutReport, list[Episode]]:
-    """Return the section ``holdout`` of ``eval.json`` and the policy's episodes, one a held-out demonstration."""
-    task = workcell.task
-    entered = [workcell.reachability.enter(path[0]) for path in held_out]
+    """Return the section ``holdout`` of ``eval.json`` and the policy's episodes, one a held-out demonstration.
+
+    The held-out demonstrations are moved with the goal, by ``moved`` (3,) [m].
+    """
+    task, away = workcell.task, np.concatenate([moved, np.zeros(4)])
+    entered = [workcell.reachability.enter(path[0] + away) for path in held_out]
     ready = [index for index, motion in enumerate(entered) if motion.joints is not None]
     starts = np.array([held_out[index][0] for index in ready]).reshape(-1, 7)
     joints = np.array([entered[index].joints for index in ready]).reshape(-1, 6)
@@ -181,12 +240,14 @@ def _holdout(
         hausdorff[name] = [hausdorff_mm(episode.poses, path) for episode, path in zip(episodes, held_out, strict=True)]
         return _measured(workcell, reward, episodes, held_out), episodes
 
-    own = roll_out(policy, task, workcell.reachability, starts, joints, step_limit) if ready else []
+    goals = np.tile(moved, (len(starts), 1))
+    own = roll_out(policy, task, workcell.reachability, starts, joints, step_limit, moved=goals) if ready else []
     report, episodes = measured("policy", own)
     beside = None
     if baselines:
         # Where the arm can take no start there is nothing to make.
-        made = dict(baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit)) if ready else {}
+        each = baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit, goals) if ready else ()
+        made = dict(each)
         beside = Baselines(**{name: measured(name, made.get(name, []))[0] for name in Baselines.model_fields})
     holdout = HoldoutReport(
         demonstrations=len(held_out),

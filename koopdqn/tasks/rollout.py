@@ -1,7 +1,7 @@
 """Roll-outs: a controller moves the arm from given starts until each episode ends; wrong actions are not undone."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -35,12 +35,19 @@ class Episode:
         joints: (T + 1, 6) joint angles [rad].
         outcome: :data:`SUCCESS` or one of :data:`FAILURES`.
         detail: more about a failure, in words.
+        moved: (3,) [m] by which the goal was moved: poses are told as seen from it, so far off they are in the world.
     """
 
     poses: Array
     joints: Array
     outcome: str
     detail: str = ""
+    moved: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def positions(self) -> Array:
+        """The positions (T + 1, 3) [m] passed in the world."""
+        return np.asarray(self.poses[:, pose.POSITION] + self.moved)
 
     @property
     def steps(self) -> int:
@@ -57,15 +64,18 @@ def roll_out(
     limit: int,
     *,
     cut_circles: bool = False,
+    moved: Array | None = None,
 ) -> list[Episode]:
     """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
 
     An action that the arm cannot carry out ends its episode as a failure. So does one that leaves the pose unchanged: a
     controller without memory would repeat it until the limit. With ``cut_circles`` an episode that returns to one of
-    its poses ends there as a step limit, since it would go round in a circle until the limit.
+    its poses ends there as a step limit, since it would go round in a circle until the limit. Where goals are ``moved``
+    (N, 3) [m], the starts are told as seen from them, and the arm is so far off in the world.
     """
     seen: list[set[bytes]] = [set() for _ in starts]
-    runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
+    moved = np.zeros((len(starts), 3)) if moved is None else moved
+    runs = [_Run([start], [angles], each) for start, angles, each in zip(starts, joints, moved, strict=True)]
     for _ in range(limit):
         active = [i for i, run in enumerate(runs) if not run.outcome]
         if not active:
@@ -84,9 +94,15 @@ def roll_out(
     return [run.finished() for run in runs]
 
 
-def follow(paths: list[Array], task: Task, reachability: Reachability, joints: Array) -> list[Episode]:
-    """Return the episodes of following given paths (T, 7), each from its joints (6,), to the end or a failure."""
-    runs = [_Run([path[0]], [angles]) for path, angles in zip(paths, joints, strict=True)]
+def follow(
+    paths: list[Array], task: Task, reachability: Reachability, joints: Array, moved: Array | None = None
+) -> list[Episode]:
+    """Return the episodes of following given paths (T, 7), each from its joints (6,), to the end or a failure.
+
+    Where goals are ``moved`` (N, 3) [m], the paths are told as seen from them.
+    """
+    moved = np.zeros((len(paths), 3)) if moved is None else moved
+    runs = [_Run([path[0]], [angles], each) for path, angles, each in zip(paths, joints, moved, strict=True)]
     for t in range(1, max(map(len, paths), default=0)):
         active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
         if active:
@@ -98,16 +114,19 @@ def follow(paths: list[Array], task: Task, reachability: Reachability, joints: A
 class _Run:
     poses: list[Array]
     joints: list[Array]
+    moved: Array
     outcome: str = ""
     detail: str = ""
 
     def finished(self) -> Episode:
-        return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail)
+        return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail, self.moved)
 
 
 def _advance(runs: list[_Run], reached: Array, task: Task, reachability: Reachability) -> None:
     """Move runs one step to the reached poses (N, 7), and set the outcome of those that end."""
-    motions = reachability.move_batch(reached, np.array([run.joints[-1] for run in runs]))
+    world = reached.copy()
+    world[:, pose.POSITION] += [run.moved for run in runs]
+    motions = reachability.move_batch(world, np.array([run.joints[-1] for run in runs]))
     before = np.array([run.poses[-1] for run in runs])
     stuck = pose.position_distance(reached, before) == 0
     if stuck.any():

@@ -111,8 +111,10 @@ def learned_motions(
         BadInputError: hardly any start of the region can be taken.
     """
     task = workcell.task
-    starts, joints, _ = drawn_starts(workcell, settings)
-    starts, joints = starts[:count], joints[:count]
+    # The page shows the goal where it was demonstrated.
+    still = replace(workcell, task=task.with_still_goal())
+    drawn = drawn_starts(still, settings.model_copy(update={"goal": None}))
+    starts, joints = drawn.starts[:count], drawn.joints[:count]
     references = reference_paths(task, starts, step_limit) if referred else [None] * len(starts)
     found = []
     for index, episode in enumerate(roll_out(policy, task, workcell.reachability, starts, joints, step_limit)):

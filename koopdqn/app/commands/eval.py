@@ -18,7 +18,6 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
-from koopdqn.pose import POSITION
 from koopdqn.settings import shown
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
@@ -77,7 +76,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
-    paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
+    paths = [episode.positions for episode in evaluation.episodes[:20]]
     image = pipeline.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
     plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [

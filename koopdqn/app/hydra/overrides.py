@@ -34,6 +34,7 @@ _SHORT_NAMES: Final = {
     "demos.place": "task.place",
     "sweep": "report.sweep",
     "start": "program.start",
+    "goal": "eval.goal",
 }
 _FILMED: Final = ("eval", "view")
 """Commands whose own key ``video`` needs no prefix."""
@@ -66,8 +67,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
-      ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
-      ``program.start=``.
+      ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` ``start=`` becomes
+      ``program.start=`` and ``goal=`` becomes ``eval.goal=``.
     - ``obstacles=FILE`` becomes ``task.obstacles=`` with what the file holds.
     - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
