@@ -90,6 +90,10 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, text in named_files().items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
+    (tmp_path / "examples").mkdir(exist_ok=True)
+    scene = ROOT / "examples" / "obstacles.yaml"
+    (tmp_path / "examples" / scene.name).write_text(scene.read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "better.csv").write_text("0.436,-0.060,0.563\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "powers", raising=False)

@@ -15,14 +15,13 @@ from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationRepor
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
 from koopdqn.settings import Count, Settings, Vector3
+from koopdqn.tasks.moved_goals import DrawnStarts, draw_starts
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.workcell import Workcell
 
 # Sets the starts' random stream apart from those of demonstrations (1), training (2) and its checks (3),
 # even if the seeds are equal.
 _STREAM = 4
-# A start within this many goal tolerances of the goal is none.
-_CLEAR_OF_GOAL = 3.0
 
 
 class EvaluationSettings(Settings):
@@ -71,55 +70,18 @@ def work_units(settings: EvaluationSettings) -> int:
     return methods * settings.episodes + (settings.dynamics_episodes if settings.dynamics else 0)
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """Held-out starts.
-
-    Attributes:
-        starts: (N, 7) as seen from their goals.
-        joints: (N, 6) [rad] there.
-        moved: (N, 3) [m] by which the goals are moved; zeros unless the task's goal moves.
-        redrawn: how many draws were drawn again.
-    """
-
-    starts: Array
-    joints: Array
-    moved: Array
-    redrawn: int
-
-
-def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> Drawn:
+def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> DrawnStarts:
     """Return the held-out starts, and the goals of a task whose goal moves.
 
     Raises:
         BadInputError: hardly any start of the region can be taken, or the goal given is none of the task's.
     """
-    task, rng = workcell.task, np.random.default_rng([settings.seed, _STREAM])
-    region = task.with_still_goal().with_starts_scaled(settings.start_scale)
-    starts, joints, redrawn = workcell.reachability.draw_starts(region, rng, settings.episodes)
-    moved = np.zeros((len(starts), 3))
-    if settings.goal is not None:
-        moved += task.goal_displacement(settings.goal)
-    elif task.goal_half_range_m is not None:
-        half = np.array(task.goal_half_range_m)
-        for row, start in enumerate(starts):
-            again = -1
-            while again < 0 or not _can_go(workcell, start, moved[row]):
-                moved[row], again = rng.uniform(-half, half), again + 1
-            redrawn += again
-    starts = starts.copy()
-    starts[:, pose.POSITION] -= moved
-    return Drawn(starts, joints, moved, redrawn)
-
-
-def _can_go(workcell: Workcell, start: Array, moved: Array) -> bool:
-    """Return whether the arm can take the goal moved by (3,) [m], and a start (7,) is not at it already."""
-    goal = workcell.task.goal.copy()
-    goal[pose.POSITION] += moved
-    apart = float(pose.position_distance(start, goal))
-    return (
-        apart > _CLEAR_OF_GOAL * workcell.task.goal_tolerance_m and workcell.reachability.enter(goal).joints is not None
+    region, rng = (
+        workcell.task.with_starts_scaled(settings.start_scale),
+        np.random.default_rng([settings.seed, _STREAM]),
     )
+    goal = None if settings.goal is None else workcell.task.goal_displacement(settings.goal)
+    return draw_starts(workcell, region, rng, settings.episodes, goal)
 
 
 def evaluate(

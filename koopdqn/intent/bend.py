@@ -13,15 +13,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.errors import BadInputError
 from koopdqn.intent.koopman import KoopmanModel
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import TrustDomain
+from koopdqn.paths import SmoothPath, arc_lengths
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
+# A waypoint may be at most this far from the path [m].
+_FARTHEST_M = 0.2
+# The way to a waypoint and from it, in its distance from the path, and at least [m].
+_WAY, _LEAST_WAY_M = 1.5, 0.02
 # Directions of travel are those of chords of this length [m].
 _CHORD_M = 0.004
 
@@ -37,6 +43,48 @@ class Bend:
 
     path: Array
     offsets: Array
+
+    @classmethod
+    def none(cls, positions: Array) -> "Bend":
+        """Return the bend of the path along positions (N, 3) [m] that moves nothing."""
+        path = SmoothPath.along(positions).points
+        return cls(path, np.zeros_like(path))
+
+    def through(self, waypoints: Array) -> "Bend":
+        """Return the bend with its moved path led through waypoints (W, 3) [m], and back where they end.
+
+        Each waypoint moves the point of the path nearest to it. The way to the first and from the last one begins and
+        ends 1.5 times as far along the path as that waypoint is aside. Before and behind nothing moves.
+
+        Raises:
+            BadInputError: they are not in the path's order, too far from it, or at its ends.
+        """
+        from scipy.interpolate import PchipInterpolator
+        from scipy.spatial import KDTree
+
+        arc = arc_lengths(self.bent)
+        apart, place = KDTree(self.bent).query(waypoints)
+        if apart.max() > _FARTHEST_M:
+            raise BadInputError(
+                f"waypoints: must lie within {_FARTHEST_M:g} m of the learned path, found one {apart.max():.3f} m away"
+            )
+        if (np.diff(arc[place]) <= 0.0).any():
+            row = int((np.diff(arc[place]) <= 0.0).argmax())
+            raise BadInputError(
+                "waypoints: must be in the order in which the path passes them, found"
+                f" {_shown(waypoints[row])} m before {_shown(waypoints[row + 1])} m"
+            )
+        first, last = (arc[place[i]] + sign * max(_LEAST_WAY_M, _WAY * apart[i]) for i, sign in ((0, -1.0), (-1, 1.0)))
+        first, last = max(first, arc[1]), min(last, arc[-2])
+        if arc[place[0]] - first < _LEAST_WAY_M or last - arc[place[-1]] < _LEAST_WAY_M:
+            raise BadInputError(
+                f"waypoints: must lie at least {_LEAST_WAY_M:g} m of path from its start and its goal, which stay,"
+                f" found {arc[place[0]]:.3f} m and {arc[-1] - arc[place[-1]]:.3f} m"
+            )
+        at = np.concatenate([[0.0, first], arc[place], [last, arc[-1]]])
+        none = np.zeros((2, 3))
+        moved = PchipInterpolator(at, np.concatenate([none, waypoints - self.bent[place], none]))(arc)
+        return Bend(self.path, self.offsets + moved)
 
     @cached_property
     def bent(self) -> Array:
@@ -58,6 +106,10 @@ class Bend:
         motion = following[:, pose.POSITION] - straight[:, pose.POSITION]
         turned = pose.rotate(self._turns[self._nearest(poses)], motion)
         return pose.make(poses[:, pose.POSITION] + turned, following[:, pose.QUATERNION])
+
+    def beside(self, poses: Array) -> Array:
+        """Return the offsets (N, 3) [m] of poses (N, 7) from the nearest points of the moved path."""
+        return np.asarray(poses[:, pose.POSITION] - self.bent[self._nearest(poses)])
 
     def bent_each(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return straight trajectories (N, 7) as they lie beside the moved path."""
@@ -90,6 +142,10 @@ class Bend:
         one, other = (rows / np.maximum(pose.norm(rows, keepdims=True), 1e-12) for rows in (one, other))
         along = (one * other).sum(axis=1, keepdims=True)
         return pose.normalized(np.concatenate([1.0 + along + 1e-9, np.cross(one, other)], axis=1))
+
+
+def _shown(position: Array) -> list[float]:
+    return [round(float(value), 4) for value in position]
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from koopdqn.rl.replay_buffer import Labelled, ReplayBuffer
 from koopdqn.rl.settings import AgentSettings, TrainSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
+from koopdqn.tasks.moved_goals import trained_in
 from koopdqn.tasks.workcell import Workcell
 
 _COUNTERS = ("env_steps", "rounds")
@@ -92,8 +93,9 @@ class Trainer:
         self.replay = ReplayBuffer(agent.replay, size(self._task))
         self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back, replay=self.replay)
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
-        starts = StartSampler(workcell, reward.model.start_frame, trajectories, self.step_limit, agent)
-        self.env = VectorEnv(workcell, self.feedback, starts, agent.episodes_at_once, self._explore_rng, asking)
+        known = trained_in(workcell)
+        starts = StartSampler(known, reward.model.start_frame, trajectories, self.step_limit, agent)
+        self.env = VectorEnv(known, self.feedback, starts, agent.episodes_at_once, self._explore_rng, asking)
         self._labelling: Labelling = LabelAllKnown() if agent.trials == "all" else LabelChosen()
         self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)
         self.history = History()

@@ -5,23 +5,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.errors import BadInputError
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.intent.model import IntentModel
 from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
 from koopdqn.pose import Array
 from koopdqn.rl.policy import Policy
-from koopdqn.tasks.actions import nearest_actions, reached_poses
+from koopdqn.tasks.actions import ROTATING, nearest_actions, reached_poses
 
-# Difference in value at which an action counts 1/e of the best.
-_SHARPNESS = 0.2
+# A pose moved by less [m] is not moved.
+_UNMOVED_M = 1e-6
+# Table 1's actions along the three axes, forth and back.
+_FORTH, _BACK = slice(4, None, 2), slice(5, None, 2)
 
 
 @dataclass(frozen=True)
 class PolicyAround:
     """A policy that was trained without obstacles and serves among them: the path alone was moved, not the policy.
 
-    It is asked at the straightened pose. Of the ten actions the one nearest to what it would do there, turned as the
-    path is turned, is taken.
+    It is asked at the straightened pose, for a direction between its ten actions: rounding once to the ten and, turned
+    as the path is turned, once more would add up. The action nearest to that motion from the moved path is taken, so
+    that what the ten directions stray is made good at once.
 
     Attributes:
         policy: that was trained without obstacles.
@@ -38,21 +42,39 @@ class PolicyAround:
         straight = self.bend.straightened(local)
         unmoved = frame.from_frame(straight, starts, straight)
         values = self.policy.values(unmoved, starts).astype(float)
-        best = values.argmax(axis=1)
-        every = reached_poses(unmoved, task)
-        # The mean of the better actions is a direction between the ten: two roundings to one of them would add up.
-        weights = np.exp((values - values.max(axis=1, keepdims=True)) / _SHARPNESS)
-        weights /= weights.sum(axis=1, keepdims=True)
-        position = np.einsum("na,nad->nd", weights, every[..., pose.POSITION])
-        reached = pose.make(position, every[np.arange(len(best)), best][:, pose.QUATERNION])
+        best: np.ndarray = values.argmax(axis=1)
+        moved = pose.position_distance(straight, local) > _UNMOVED_M
+        if not moved.any():
+            return best
+        reached = reached_poses(unmoved, task)[np.arange(len(best)), best]
+        # Between the ten actions: along each axis by how much more the way there is worth than the way back. Of an
+        # action that turns nothing is known between it and others.
+        slope = values[:, _FORTH] - values[:, _BACK]
+        slope /= np.maximum(pose.norm(slope, keepdims=True), 1e-12)
+        distance = np.minimum(task.step_m, pose.position_distance(unmoved, task.goal))[:, None]
+        between = unmoved[:, pose.POSITION] + distance * slope
+        position = np.where(np.isin(best, ROTATING)[:, None], reached[:, pose.POSITION], between)
+        reached = pose.make(position, reached[:, pose.QUATERNION])
         following = self.bend.bent_next(local, straight, frame.to_frame(reached, starts))
-        return nearest_actions(poses, frame.from_frame(following, starts, poses), task)
+        following[:, pose.POSITION] -= self.bend.beside(local)
+        wished = frame.from_frame(following, starts, poses)
+        # Where the path is not moved, nor is the policy.
+        return np.where(moved, nearest_actions(poses, wished, task), best)
 
 
 def around(policy: Policy, model: IntentModel) -> "Policy | PolicyAround":
-    """Return a policy made fit for the obstacles that an intent model is bent around, if it was trained without any."""
-    bent = isinstance(model, BentIntent) and not policy.task.obstacles
-    return PolicyAround(policy, model.bend) if isinstance(model, BentIntent) and bent else policy
+    """Return a policy made fit for the obstacles that an intent model is bent around, if it was trained without any.
+
+    A corrected policy is made to follow its correction.
+
+    Raises:
+        BadInputError: it was corrected where nothing stood, and is to serve among obstacles.
+    """
+    moved = model.bend if isinstance(model, BentIntent) and not policy.task.obstacles else None
+    if moved is not None and policy.bend is not None:
+        raise BadInputError("obstacles: a corrected run serves the scene in which it was corrected, found others in it")
+    bend = policy.bend if moved is None else moved
+    return policy if bend is None else PolicyAround(policy, bend)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from koopdqn.artifact import Artifact, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
+from koopdqn.intent.bend import Bend
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
@@ -17,6 +18,7 @@ from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 
 KIND = "policy"
+_BEND = "bend/"
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,13 @@ class Policy:
         network: the Q-network.
         task: gives the goal in observations.
         frame: the start frame of observations.
+        bend: of its path where a person has corrected it (:mod:`koopdqn.rl.around` follows it); None where nobody has.
     """
 
     network: QNetwork
     task: Task
     frame: StartFrame = STILL
+    bend: Bend | None = None
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions (N,) of greatest value from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
@@ -47,6 +51,17 @@ def write_policy(
 ) -> None:
     """Write a policy: the network's arrays and settings, its frame, and further metadata ``about``."""
     write_artifact(path, Artifact(KIND, arrays, {**about, "network": described(network), "frame": frame.described()}))
+
+
+def write_corrected(path: Path, source: Path, bend: Bend) -> None:
+    """Write the policy of the file ``source`` with another bend of its path.
+
+    Raises:
+        BadInputError: the source is missing or damaged.
+    """
+    held = read_artifact(source, KIND)
+    arrays = {**held.arrays, f"{_BEND}path": bend.path, f"{_BEND}offsets": bend.offsets}
+    write_artifact(path, Artifact(KIND, arrays, held.about))
 
 
 def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
@@ -66,15 +81,20 @@ def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Poli
     with reading(f"policy {path}"):
         node = {key: value for key, value in about["network"].items() if key != "target"}
         settings = validate(node, NetworkSettings, "policy.network")
-        held, wanted = sum(values.size for values in artifact.arrays.values()), values_in(size(task), settings)
+        arrays = {name: values for name, values in artifact.arrays.items() if not name.startswith(_BEND)}
+        bend = None
+        if len(arrays) < len(artifact.arrays):
+            bend = Bend(*(artifact.arrays[_BEND + name].astype(float) for name in ("path", "offsets")))
+            bend.straightened(task.nominal_start[None])
+        held, wanted = sum(values.size for values in arrays.values()), values_in(size(task), settings)
         # Before a network is made that the settings alone make large.
         if held != wanted:
             raise BadInputError(
                 f"policy {path} must hold the arrays of its own settings, {wanted} numbers, found {held}"
             )
         network = QNetwork(size(task), settings, np.random.default_rng(0))
-        load_arrays(network, artifact.arrays)
+        load_arrays(network, arrays)
         frame = StartFrame.restore(about.get("frame", STILL.described()))
-        policy = Policy(network, task, frame)
+        policy = Policy(network, task, frame, bend)
         policy(task.nominal_start[None], task.nominal_start[None])
         return policy, about

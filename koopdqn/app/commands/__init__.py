@@ -14,6 +14,7 @@ _COMMANDS: Final = {
     "fit": ("fit.run", ("run", "intent_file")),
     "train": ("train.run", ()),
     "eval": ("eval.run", ("demos", "intent_file")),
+    "correct": ("correct.run", ("demos", "intent_file")),
     "view": ("view.run", ("intent_file",)),
     "report": ("report.run", ("run", "demos", "intent_file")),
     "import": ("importing.import_", ("run", "intent_file")),
@@ -61,8 +62,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        measured = settings.inputs.run if command in ("eval", "export", "view") else None
-        if command in ("fit", "train", "eval") or measured is not None:
+        measured = settings.inputs.run if command in ("eval", "export", "view", "correct") else None
+        if command in ("fit", "train", "eval", "correct") or measured is not None:
             # The run that these read holds its demonstrations; the others keep them in their own folder.
             settings = with_task(settings, measured or folder, keep=measured is None)
         if measured is not None:

@@ -11,6 +11,7 @@ from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.errors import BadInputError, unknown_name
+from koopdqn.evaluation.correction import CorrectionSettings
 from koopdqn.evaluation.evaluate import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
 from koopdqn.intent.model import IntentSettings
@@ -68,6 +69,7 @@ class Configuration:
     train: TrainSettings
     eval: EvaluationSettings
     view: ViewSettings
+    correct: CorrectionSettings
     report: ReportSettings
     import_: ImportSettings
     inspect: InspectSettings

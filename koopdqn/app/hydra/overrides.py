@@ -21,6 +21,7 @@ PATH_KEYS: Final = (
     "oracle.answers",
     "report.sweep",
     "view.video",
+    "correct.waypoints",
 )
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
@@ -35,6 +36,7 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
     "goal": "eval.goal",
+    "waypoints": "correct.waypoints",
 }
 _FILMED: Final = ("eval", "view")
 """Commands whose own key ``video`` needs no prefix."""
@@ -68,7 +70,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
       ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` ``start=`` becomes
-      ``program.start=`` and ``goal=`` becomes ``eval.goal=``.
+      ``program.start=`` ``goal=`` becomes ``eval.goal=`` and ``waypoints=``
+      becomes ``correct.waypoints=``.
     - ``obstacles=FILE`` becomes ``task.obstacles=`` with what the file holds.
     - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
@@ -108,7 +111,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
-    if command == "eval" or (command == "export" and named) or (command == "view" and "demos" not in keys):
+    if command == "correct" and not named:
+        raise BadInputError("run: must name the trained run to correct, found none")
+    if command in ("eval", "correct") or (command == "export" and named) or (command == "view" and "demos" not in keys):
         return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
     if command in ("import", "inspect", "export", "view") and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
@@ -164,7 +169,9 @@ def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
     given = {_name(override) for override in prepared}
     # A run's own inputs lie in its folder, and nobody is asked any more.
     unread = ("demos", "intent_file", "oracle")
-    recorded = [item for item in _recorded(folder, "train") if item.name not in given and item.root not in unread]
+    recorded = [
+        item for item in _recorded(folder, "train", measured=True) if item.name not in given and item.root not in unread
+    ]
     own = check_record(recorded, Path(folder), _trusted(prepared), [])
     rest = [item for item in prepared if _key(item) != "run"]
     return Prepared([*own, *rest, f"run={_quoted(folder)}", f"command={command}"])
@@ -203,7 +210,7 @@ def _prepare_one(command: str, override: str) -> str:
     if name == "obstacles":
         return _obstacles(value)
     name = f"{command}.video" if name == "video" and command in _FILMED else _SHORT_NAMES.get(name, name)
-    if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
+    if name in PATH_KEYS and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
 
@@ -283,12 +290,14 @@ def _value(override: str) -> str:
     return _unquoted(override.partition("=")[2])
 
 
-def _recorded(folder: str, command: str) -> list[Recorded]:
+def _recorded(folder: str, command: str, *, measured: bool = False) -> list[Recorded]:
     what = _CONTINUED[command]
     if not folder.strip():
         raise BadInputError(f"run: must name the folder of {what}, found ''")
     recorded = read_record(Path(folder), what)
     commands = [item.value for item in recorded if item.key == "command"]
-    if commands and commands[-1] != command:
+    # A corrected run is one of the training it was corrected from, less what going on needs.
+    corrected = command == "train" and measured and commands[-1:] == ["correct"]
+    if commands and commands[-1] != command and not corrected:
         raise BadInputError(f"run: must name a run of {command!r}, found one of {commands[-1]!r} in {folder!r}")
     return recorded

@@ -18,7 +18,21 @@ RECORD: Final = Path(".hydra") / "overrides.yaml"
 GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "preset")
 """The config groups."""
 SECTIONS: Final = (
-    *("import", "inspect", "demo", "fit", "reward", "feedback", "train", "eval", "report", "export", "program", "view"),
+    *(
+        "import",
+        "inspect",
+        "demo",
+        "fit",
+        "reward",
+        "feedback",
+        "train",
+        "eval",
+        "report",
+        "export",
+        "program",
+        "view",
+        "correct",
+    ),
 )
 """The root's keys that hold keys."""
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
@@ -27,7 +41,18 @@ PATH_NAMES: Final = ("out", "run", "demos", "intent_file", "journal", "questions
 """The last part of every key whose value is a path."""
 
 # What says where this run lies and whom its user trusts is for the present command line to say.
-_OF_THE_COMMAND: Final = ("command", "out", "run", "trust_modules", "inspect", "report", "export", "program", "view")
+_OF_THE_COMMAND: Final = (
+    "command",
+    "out",
+    "run",
+    "trust_modules",
+    "inspect",
+    "report",
+    "export",
+    "program",
+    "view",
+    "correct",
+)
 _LARGEST: Final = 64 * 1024
 _MOST: Final = 1000
 _NAME: Final = re.compile(r"[A-Za-z]\w*", re.ASCII)
