@@ -214,6 +214,9 @@ def described(settings: Settings) -> dict[str, Any]:
         if field.exclude:
             continue
         value = getattr(settings, name)
+        if not field.is_required() and not field.default and value == field.default:
+            # An absent optional part: files written before it existed say the same.
+            continue
         node[name] = _plain(value)
         # Only where a subclass may stand is its name read; elsewhere it would be an unknown key.
         if type(value) is field.annotation and isinstance(value, Settings):

@@ -13,6 +13,7 @@ from typing import Any, Final
 from koopdqn.app.recording.session import KeyLine, SessionLine
 from koopdqn.demonstrations.schema import InspectionFile
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.correction import CorrectionFile
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.intent.schema import FitReport
 from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine, UndoLine
@@ -38,6 +39,7 @@ TABLES: Final[Mapping[str, type[ReportModel]]] = {
     "eval.json": EvaluationFile,
     "explain.json": ExplainFile,
     "compare.json": CompareFile,
+    "correct.json": CorrectionFile,
     "program.json": ProgramFile,
     "stream.json": StreamFile,
     "report.json": ReportFile,

@@ -148,7 +148,8 @@ def _followed(primitive: Primitive, trained: Trained) -> dict[str, Any]:
     from koopdqn.evaluation.metrics import measure, reference_paths
 
     task, reachability, intent = trained.workcell.task, trained.workcell.reachability, trained.intent
-    starts, joints, _ = drawn_starts(trained.workcell, trained.config.eval)
+    drawn = drawn_starts(trained.workcell, trained.config.eval)
+    starts, joints = drawn.starts, drawn.joints
     paths = []
     for start in starts:
         path = primitive(start, task.goal)

@@ -105,7 +105,8 @@ def measured(runs: list[Path], paths: int) -> dict[str, Any]:
         intent = read_intent(run / pipeline.INTENT, config.task)
         limit = step_limit_of(run / "train.json")
         chosen = config.eval.model_copy(update={"episodes": paths, "seed": SEED})
-        starts, joints, _ = drawn_starts(workcell, chosen)
+        drawn = drawn_starts(workcell, chosen)
+        starts, joints = drawn.starts, drawn.joints
         guard = Guard(workcell, config.guard, intent.trust, intent.model.start_frame)
         episodes = guard.roll_out(policy, starts, joints, limit)
         learned = [episode for episode in episodes if episode.outcome == SUCCESS]

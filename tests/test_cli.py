@@ -155,8 +155,8 @@ def test_bad_input_is_one_line_and_exit_status_2(
 
 def test_an_unknown_command_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert refused(capsys, "trian").endswith(
-        "valid: compare, demo, doctor, eval, explain, export, feedback, fit, import, inspect, report, stream, train,"
-        " view"
+        "valid: compare, correct, demo, doctor, eval, explain, export, feedback, fit, import, inspect, report, stream,"
+        " train, view"
     )
 
 

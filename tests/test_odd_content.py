@@ -67,7 +67,8 @@ def test_an_artifact_of_odd_content_is_refused(
     intent: Path, policy: Path, shelf_task: ShelfTask, data: st.DataObject, kind: str
 ) -> None:
     source = {"intent": intent, "policy": policy}[kind]
-    read: Callable[[Path, ShelfTask], object] = {"intent": read_intent, "policy": read_policy}[kind]
+    readers: dict[str, Callable[[Path, ShelfTask], object]] = {"intent": read_intent, "policy": read_policy}
+    read = readers[kind]
     artifact = read_artifact(source, kind)
     arrays = dict(artifact.arrays)
     about: Any = artifact.about

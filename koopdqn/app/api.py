@@ -89,7 +89,8 @@ def generate(config: Configuration) -> Demonstrations:
         return pipeline.demonstrations_read(config, config.inputs.demos)
     pipeline.check_scripted(config)
     seed = config.inputs.seed
-    return generate_demonstrations(config.task, open_workcell(config).reachability, config.demo, seed).demonstrations
+    clear = open_workcell(config).without_obstacles()
+    return generate_demonstrations(clear.task, clear.reachability, config.demo, seed).demonstrations
 
 
 def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
@@ -98,8 +99,19 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
 
 
 def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
-    """Return the reward function (Eqs. 15, 16) of a fitted intent."""
-    return pipeline.intent_reward(config, fitted.model, fitted.trust)
+    """Return the reward function (Eqs. 15, 16) of a fitted intent, as if the task had no obstacles."""
+    return IntentReward(config.task, fitted.model, fitted.trust, config.reward, continuous=config.agent.continuous)
+
+
+def reward_around_obstacles(
+    config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted
+) -> IntentReward:
+    """Return the reward function of a fitted intent, bent around obstacles of the task.
+
+    Raises:
+        BadInputError: obstacles leave no way.
+    """
+    return pipeline.reward_of(config, workcell, fitted, agent_steps(demonstrations, config.task))
 
 
 def train(
@@ -123,18 +135,19 @@ def train(
         PauseRequested: who answers wants to go on another time.
     """
     from koopdqn.rl.algorithm1 import Trainer
+    from koopdqn.rl.around import answering
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.questions import Asking
     from koopdqn.rl.settings import check_device
 
     check_device(config.agent)
     workcell, seed = open_workcell(config), config.inputs.seed
-    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, config.task))
+    reward = reward_around_obstacles(config, workcell, demonstrations, fitted)
     trainer = Trainer(
         workcell,
-        intent_reward(config, fitted),
-        trajectories,
-        oracle or config.oracle.open(workcell, seed, Path()),
+        reward,
+        reward.model.placed(agent_steps(demonstrations, config.task)),
+        oracle or answering(config.oracle.open(workcell, seed, Path()), config.oracle, reward.model),
         config.agent,
         config.train,
         seed,
@@ -148,10 +161,11 @@ def train(
 
 def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
     """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``)."""
+    workcell = open_workcell(config)
     return evaluate_policy(
-        open_workcell(config),
+        workcell,
         trained.policy,
-        intent_reward(config, fitted),
+        reward_around_obstacles(config, workcell, demonstrations, fitted),
         agent_steps(demonstrations, config.task),
         config.eval,
         trained.step_limit,
@@ -176,7 +190,7 @@ def environment_parts(
     longest = max(len(rows) for rows in agent_steps(demonstrations, config.task))
     return EnvironmentParts(
         workcell,
-        intent_reward(config, fitted),
+        reward_around_obstacles(config, workcell, demonstrations, fitted),
         oracle or config.oracle.open(workcell, config.inputs.seed, Path()),
         int(config.train.step_limit_factor * longest),
         config.feedback,

@@ -41,6 +41,13 @@ _COMMANDS = {
         "Measure a trained run on held-out starts.",
         ("koopdqn eval", "koopdqn eval run=DIR --json"),
     ),
+    "correct": (
+        "Correct a stretch of a learned path by waypoints; the rest stays as it is.",
+        (
+            "koopdqn correct run=DIR 'waypoints=[[0.44,-0.06,0.56],[0.45,0.0,0.58]]'",
+            "koopdqn correct run=DIR waypoints=better.csv",
+        ),
+    ),
     "view": (
         "Look at a trained run, or at demonstrations, as a page that opens in any browser.",
         (

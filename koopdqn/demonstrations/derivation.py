@@ -15,8 +15,9 @@ from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotati
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
-from koopdqn.settings import Fraction, Positive
+from koopdqn.settings import Fraction, Positive, Vector3
 from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
+from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
@@ -73,6 +74,10 @@ class Derivation(TaskChoice):
     end_spread_rad: Positive = Field(description="the same for its orientation, unless turning=free [rad]")
     held_limit_rad: Positive = Field(
         description="rotation distance from the goal up to which orientation counts as held [rad]"
+    )
+    obstacles: Obstacles = Field(default=(), description="what stands in the scene and is kept clear of")
+    goal_half_range_m: Vector3 | None = Field(
+        default=None, description="half the region from which goals are drawn, along each axis; null: the goal stays"
     )
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
@@ -148,6 +153,8 @@ class Derivation(TaskChoice):
             goal_tolerance_m=self.goal_tolerance_m,
             goal_rotation_tolerance_rad=self.goal_rotation_tolerance_rad,
             person=self.person,
+            obstacles=self.obstacles,
+            goal_half_range_m=self.goal_half_range_m,
             variation_m=0.0,
             least_clearance_m=0.0,
             turning=turning,

@@ -184,7 +184,13 @@ def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
 
 
 def baseline_episodes(
-    workcell: Workcell, reward: IntentReward, trajectories: list[Array], starts: Array, joints: Array, step_limit: int
+    workcell: Workcell,
+    reward: IntentReward,
+    trajectories: list[Array],
+    starts: Array,
+    joints: Array,
+    step_limit: int,
+    moved: Array | None = None,
 ) -> Iterator[tuple[str, list[Episode]]]:
     """Yield the episodes of every method of :class:`koopdqn.evaluation.schema.Baselines`, by its name.
 
@@ -195,15 +201,16 @@ def baseline_episodes(
         starts: (N, 7).
         joints: (N, 6) [rad] there.
         step_limit: steps after which an episode fails.
+        moved: (N, 3) [m] by which goals are moved; None for not at all.
     """
     task, frame = workcell.task, reward.model.start_frame
     placed = frame.each(trajectories)
 
     def controlled(controller: Controller) -> list[Episode]:
-        return roll_out(controller, task, workcell.reachability, starts, joints, step_limit)
+        return roll_out(controller, task, workcell.reachability, starts, joints, step_limit, moved=moved)
 
     def followed(path: Callable[[Array], Array]) -> list[Episode]:
-        return follow([path(start) for start in starts], task, workcell.reachability, joints)
+        return follow([path(start) for start in starts], task, workcell.reachability, joints, moved)
 
     def best_by_reward(poses: Array, begun: Array) -> np.ndarray:
         evaluation = reward.evaluate_actions(poses, np.zeros(len(poses), dtype=np.int64), begun)
@@ -216,7 +223,7 @@ def baseline_episodes(
         return _nearest(poses, demonstrator_next_poses(task, poses, begun), task, reward.continuous)
 
     def greedy(instead: NextPose | None = None) -> Greedy:
-        return Greedy(reward.model, task, instead, reward.continuous)
+        return Greedy(reward.model.unbent, task, instead, reward.continuous)
 
     def mean_path(start: Array) -> Array:
         # People who follow their start begin there; the others go to where the mean begins.

@@ -14,10 +14,12 @@ from koopdqn.evaluation.metrics import hausdorff_mm, measure, reference_paths
 from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, HoldoutReport, MethodReport
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
+from koopdqn.rl.around import tube_of
 from koopdqn.safety.guard import Guard, GuardSettings
 from koopdqn.safety.schema import separation_report
 from koopdqn.safety.separation import separation
-from koopdqn.settings import Count, Settings
+from koopdqn.settings import Count, Settings, Vector3
+from koopdqn.tasks.moved_goals import DrawnStarts, draw_starts
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.workcell import Workcell
 
@@ -42,6 +44,9 @@ class EvaluationSettings(Settings):
         ge=1, le=1000, description="how many times robot.step_seconds one step takes in that execution"
     )
     baselines: bool = Field(description="also measure methods that learn nothing, from the same starts")
+    goal: Vector3 | None = Field(
+        default=None, description="where the goal is, for a task whose goal moves; null: drawn anew at every start [m]"
+    )
     video: bool = Field(description="also write a film of a learned path beside a demonstration, eval.mp4")
 
 
@@ -69,14 +74,18 @@ def work_units(settings: EvaluationSettings) -> int:
     return methods * settings.episodes + (settings.dynamics_episodes if settings.dynamics else 0)
 
 
-def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> tuple[Array, Array, int]:
-    """Return the held-out starts (N, 7), joints (N, 6) [rad] there, and how many draws were drawn again.
+def drawn_starts(workcell: Workcell, settings: EvaluationSettings) -> DrawnStarts:
+    """Return the held-out starts, and the goals of a task whose goal moves.
 
     Raises:
-        BadInputError: hardly any start of the region can be taken.
+        BadInputError: hardly any start of the region can be taken, or the goal given is none of the task's.
     """
-    region = workcell.task.with_starts_scaled(settings.start_scale)
-    return workcell.reachability.draw_starts(region, np.random.default_rng([settings.seed, _STREAM]), settings.episodes)
+    region, rng = (
+        workcell.task.with_starts_scaled(settings.start_scale),
+        np.random.default_rng([settings.seed, _STREAM]),
+    )
+    goal = None if settings.goal is None else workcell.task.goal_displacement(settings.goal)
+    return draw_starts(workcell, region, rng, settings.episodes, goal)
 
 
 def evaluate(
@@ -108,28 +117,37 @@ def evaluate(
         BadInputError: hardly any start of the region can be taken, or an actuator is no position actuator.
     """
     task = workcell.task
-    starts, joints, redrawn = drawn_starts(workcell, settings)
+    drawn = drawn_starts(workcell, settings)
+    starts, joints, moved = drawn.starts, drawn.joints, drawn.moved
     references = reference_paths(task, starts, step_limit) if held_out is None else None
-    episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit)
+    episodes = roll_out(policy, task, workcell.reachability, starts, joints, step_limit, moved=moved)
     advance(len(episodes))
     baselines = {}
     if settings.baselines:
-        for name, made in baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit):
+        for name, made in baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit, moved):
             baselines[name] = _measured(workcell, reward, made, references)
             advance(len(made))
     holdout, compared = None, episodes if held_out is None else []
     if held_out:
         holdout, compared = _holdout(
-            workcell, policy, reward, trajectories, held_out, step_limit, baselines=settings.baselines
+            workcell,
+            policy,
+            reward,
+            trajectories,
+            held_out,
+            step_limit,
+            # A goal that is drawn anew at every start is none of the held-out demonstrations'.
+            np.zeros(3) if settings.goal is None else moved[0],
+            baselines=settings.baselines,
         )
     report = EvaluationReport(
         task=task.name,
         episodes=settings.episodes,
         seed=settings.seed,
         start_scale=settings.start_scale,
-        redrawn_starts=redrawn,
+        redrawn_starts=drawn.redrawn,
         step_limit=step_limit,
-        dynamics=_dynamics(workcell, reward, episodes, settings, guard, advance) if settings.dynamics else None,
+        dynamics=_dynamics(workcell, reward, policy, episodes, settings, guard, advance) if settings.dynamics else None,
         baselines=Baselines(**baselines) if settings.baselines else None,
         holdout=holdout,
         **dict(_measured(workcell, reward, episodes, references)),
@@ -147,17 +165,19 @@ def _measured(
 def _dynamics(
     workcell: Workcell,
     reward: IntentReward,
+    policy: Controller,
     episodes: list[Episode],
     settings: EvaluationSettings,
     guard: GuardSettings | None,
     advance: Callable[[int], None],
 ) -> DynamicsReport:
     chosen = [episode for episode in episodes if episode.outcome == SUCCESS][: settings.dynamics_episodes]
-    keeper = None if guard is None else Guard(workcell, guard, reward.trust, reward.model.start_frame)
+    tube = tube_of(policy, reward.trust)
+    keeper = None if guard is None else Guard(workcell, guard, tube, reward.model.start_frame)
     executions, near = [], []
     for episode in chosen:
         joints, durations = episode.joints, settings.time_scale * workcell.reachability.durations(episode.joints)
-        if keeper and (refusal := keeper.review(episode.poses, joints)):
+        if keeper and (refusal := keeper.review(episode.in_world, joints, episode.moved)):
             joints = joints[: refusal.step + 1]
             durations = keeper.durations(joints, settings.time_scale)
         advance(1)
@@ -183,12 +203,16 @@ def _holdout(
     trajectories: list[Array],
     held_out: list[Array],
     step_limit: int,
+    moved: Array,
     *,
     baselines: bool,
 ) -> tuple[HoldoutReport, list[Episode]]:
-    """Return the section ``holdout`` of ``eval.json`` and the policy's episodes, one a held-out demonstration."""
-    task = workcell.task
-    entered = [workcell.reachability.enter(path[0]) for path in held_out]
+    """Return the section ``holdout`` of ``eval.json`` and the policy's episodes, one a held-out demonstration.
+
+    The held-out demonstrations are moved with the goal, by ``moved`` (3,) [m].
+    """
+    task, away = workcell.task, np.concatenate([moved, np.zeros(4)])
+    entered = [workcell.reachability.enter(path[0] + away) for path in held_out]
     ready = [index for index, motion in enumerate(entered) if motion.joints is not None]
     starts = np.array([held_out[index][0] for index in ready]).reshape(-1, 7)
     joints = np.array([entered[index].joints for index in ready]).reshape(-1, len(workcell.arm.joint_names))
@@ -206,12 +230,14 @@ def _holdout(
         hausdorff[name] = [hausdorff_mm(episode.poses, path) for episode, path in zip(episodes, held_out, strict=True)]
         return _measured(workcell, reward, episodes, held_out), episodes
 
-    own = roll_out(policy, task, workcell.reachability, starts, joints, step_limit) if ready else []
+    goals = np.tile(moved, (len(starts), 1))
+    own = roll_out(policy, task, workcell.reachability, starts, joints, step_limit, moved=goals) if ready else []
     report, episodes = measured("policy", own)
     beside = None
     if baselines:
         # Where the arm can take no start there is nothing to make.
-        made = dict(baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit)) if ready else {}
+        each = baseline_episodes(workcell, reward, trajectories, starts, joints, step_limit, goals) if ready else ()
+        made = dict(each)
         beside = Baselines(**{name: measured(name, made.get(name, []))[0] for name in Baselines.model_fields})
     holdout = HoldoutReport(
         demonstrations=len(held_out),

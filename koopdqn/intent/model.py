@@ -71,6 +71,15 @@ class IntentModel(ABC):
         """Return the fitted model's predictions (N, 7) at poses (N, 7), corrected by answers."""
         return predicted
 
+    @property
+    def unbent(self) -> "IntentModel":
+        """The model without regard to obstacles."""
+        return self
+
+    def placed(self, trajectories: list[Array]) -> list[Array]:
+        """Return demonstrated trajectories (N, 7) as the model would have them, in the start frame."""
+        return self.start_frame.each(trajectories)
+
     def intended(self, poses: Array, starts: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
         return self.start_frame.from_frame(self.predict(self.start_frame.to_frame(poses, starts)), starts, poses)

@@ -43,7 +43,7 @@ class StoredIntent:
     def write(self, path: Path, task: Task) -> None:
         """Write the file, with the task and all settings."""
         about = {
-            "task": described(task),
+            "task": described(task.without_obstacles()),
             "intent": described(self.settings),
             "trust": described(self.trust.settings),
             "made_from": {"demonstrations": self.demonstrations},
@@ -59,7 +59,7 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
     """
     artifact = read_artifact(path, KIND)
     about, arrays = artifact.about, artifact.arrays
-    check_task(f"intent {path}", about.get("task"), task)
+    check_task(f"intent {path}", about.get("task"), task.without_obstacles())
     with reading(f"intent {path}"):
         settings = load_settings(about["intent"], IntentSettings, "intent")
         trust = load_settings(about["trust"], TrustSettings, "trust")

@@ -145,6 +145,9 @@ class OracleSettings(Settings, ABC):
     shows_progress: ClassVar[bool] = False
     """Whether the oracle itself shows on the terminal how the learning goes."""
 
+    simulated: ClassVar[bool] = False
+    """Whether it stands in for a person, and sees nothing of the scene."""
+
     name: Name
     budget: Count | None = Field(default=None, description="most questions asked; null for no limit")
     when_spent: Literal["stop", "distrust", "scripted"] = Field(

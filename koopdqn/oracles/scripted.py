@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 class ScriptedOracleSettings(OracleSettings):
     """Settings of the scripted oracle: none of its own."""
+
+    simulated: ClassVar[bool] = True
 
     def open(self, workcell: "Workcell", seed: int, folder: Path) -> Oracle:
         """Return the oracle that answers from the task's demonstrator; it has no chance and keeps nothing."""
@@ -58,6 +60,8 @@ _STREAM = 4
 
 class ImperfectOracleSettings(OracleSettings):
     """Settings of a scripted oracle that errs or says nothing."""
+
+    simulated: ClassVar[bool] = True
 
     wrong: Fraction = Field(description="share of the answers that are turned over")
     silent: Fraction = Field(description="share of the questions that are skipped")

@@ -37,6 +37,7 @@ from koopdqn.rl.settings import ActorCriticSettings, Agent, AgentSettings, Train
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
 from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.moved_goals import trained_in
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.twists import tolerances, twist_size
 from koopdqn.tasks.workcell import Workcell
@@ -105,9 +106,10 @@ class Trainer:
         self.replay = ReplayBuffer(agent.replay, size(self._task), twist, FIRST_TWIST + twists if twist else COUNT)
         self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back, replay=self.replay)
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
-        starts = StartSampler(workcell, reward.model.start_frame, trajectories, self.step_limit, agent)
+        known = trained_in(workcell)
+        starts = StartSampler(known, reward.model.start_frame, trajectories, self.step_limit, agent)
         parallel = agent.episodes_at_once, self._explore_rng
-        self.env = VectorEnv(workcell, self.feedback, starts, *parallel, asking, twists)
+        self.env = VectorEnv(known, self.feedback, starts, *parallel, asking, twists)
         self._labelling: Labelling = LabelAllKnown() if agent.trials == "all" else LabelChosen()
         self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)
         self.history = History()

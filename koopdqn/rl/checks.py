@@ -10,6 +10,7 @@ from koopdqn.intent.tube import scaled_distances
 from koopdqn.pose import Array
 from koopdqn.rl.history import Check
 from koopdqn.rl.settings import TrainSettings
+from koopdqn.tasks.moved_goals import draw_starts
 from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
@@ -32,7 +33,8 @@ class Checker:
         self._step_limit = step_limit
         self.path: Array = np.zeros((0, 7))
         rng = np.random.default_rng([settings.check_seed, 3])
-        self._starts, self._joints, _ = workcell.reachability.draw_starts(workcell.task, rng, settings.check_starts)
+        drawn = draw_starts(workcell, workcell.task, rng, settings.check_starts)
+        self._starts, self._joints, self._moved = drawn.starts, drawn.joints, drawn.moved
 
     def measure(self, policy: Controller) -> tuple[float, float, dict[str, int]]:
         """Return a policy's success rate, its distance from the intent's roll-outs, and failures by cause.
@@ -42,7 +44,7 @@ class Checker:
         """
         workcell, task = self._workcell, self._workcell.task
         begun = self._starts, self._joints, self._step_limit
-        episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True)
+        episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True, moved=self._moved)
         self.path = episodes[0].poses
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}

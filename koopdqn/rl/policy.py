@@ -8,6 +8,7 @@ import numpy as np
 
 from koopdqn.artifact import Artifact, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
+from koopdqn.intent.bend import Bend
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
@@ -21,6 +22,7 @@ from koopdqn.tasks.twists import in_balls, twist_size
 KIND = "policy"
 CONTINUOUS = "continuous"
 """What a policy's metadata say of its actions where they are twists."""
+_BEND = "bend/"
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,14 @@ class Policy:
         task: gives the goal in observations.
         frame: the start frame of observations.
         continuous: whether the network is an actor.
+        bend: of its path where a person has corrected it (:mod:`koopdqn.rl.around` follows it); None where nobody has.
     """
 
     network: QNetwork
     task: Task
     frame: StartFrame = STILL
     continuous: bool = False
+    bend: Bend | None = None
 
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7).
@@ -76,29 +80,50 @@ def write_policy(
     write_artifact(path, Artifact(KIND, arrays, about))
 
 
-def read_policy(path: Path, task: Task) -> tuple[Policy, dict[str, Any]]:
+def write_corrected(path: Path, source: Path, bend: Bend) -> None:
+    """Write the policy of the file ``source`` with another bend of its path.
+
+    Raises:
+        BadInputError: the source is missing or damaged.
+    """
+    held = read_artifact(source, KIND)
+    arrays = {**held.arrays, f"{_BEND}path": bend.path, f"{_BEND}offsets": bend.offsets}
+    write_artifact(path, Artifact(KIND, arrays, held.about))
+
+
+def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
     """Read a policy for a task, and its metadata.
+
+    With ``anywhere`` the task may have obstacles that the policy was trained without.
 
     Raises:
         BadInputError: the file is missing, damaged, of another task, or its arrays do not fit its settings.
     """
     artifact = read_artifact(path, KIND)
     about = dict(artifact.about)
+    trained = about.get("task")
+    if anywhere and isinstance(trained, dict) and not trained.get("obstacles"):
+        task = task.without_obstacles()
     check_task(f"policy {path}", about.get("task"), task)
     with reading(f"policy {path}"):
         node = {key: value for key, value in about["network"].items() if key != "target"}
         settings = validate(node, NetworkSettings, "policy.network")
         continuous = about.get("actions") == CONTINUOUS
         outputs = twist_size(task) if continuous else COUNT
-        held, wanted = sum(values.size for values in artifact.arrays.values()), values_in(size(task), settings, outputs)
+        arrays = {name: values for name, values in artifact.arrays.items() if not name.startswith(_BEND)}
+        bend = None
+        if len(arrays) < len(artifact.arrays):
+            bend = Bend(*(artifact.arrays[_BEND + name].astype(float) for name in ("path", "offsets")))
+            bend.straightened(task.nominal_start[None])
+        held, wanted = sum(values.size for values in arrays.values()), values_in(size(task), settings, outputs)
         # Before a network is made that the settings alone make large.
         if held != wanted:
             raise BadInputError(
                 f"policy {path} must hold the arrays of its own settings, {wanted} numbers, found {held}"
             )
         network = policy_network(task, settings, continuous=continuous)
-        load_arrays(network, artifact.arrays)
+        load_arrays(network, arrays)
         frame = StartFrame.restore(about.get("frame", STILL.described()))
-        policy = Policy(network, task, frame, continuous)
+        policy = Policy(network, task, frame, continuous, bend)
         policy(task.nominal_start[None], task.nominal_start[None])
         return policy, about

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -17,6 +17,8 @@ from koopdqn.robot.arm import Arm
 _ARENA = "arena.xml"
 _FLOOR = "floor"
 _TOOL = "tool"
+_OBSTACLE_NAMES = "obstacle_"
+_OBSTACLE = (0.85, 0.45, 0.10, 1.0)
 
 
 class SceneBuilder:
@@ -79,6 +81,36 @@ class SceneBuilder:
         self._grip.add(
             "geom", name=_tool_name(name, payload), type="cylinder", fromto=ends, size=[radius], rgba=rgba, mass=mass
         )
+
+    def obstacle(
+        self,
+        name: str,
+        shape: Literal["box", "sphere", "cylinder", "mesh"],
+        pose: Array,
+        size: Sequence[float],
+        clearance: float,
+        vertices: Sequence[Sequence[float]] = (),
+    ) -> None:
+        """Add an obstacle that stands still and counts as touched by what is nearer than its clearance [m].
+
+        Args:
+            name: of the obstacle; the scene tells it from furniture.
+            shape: of the obstacle; of a mesh it is the convex hull.
+            pose: (7,) in the world.
+            size: [m] half the edges of a box; a sphere's radius; a cylinder's radius and half its height.
+            clearance: least distance [m] of anything else.
+            vertices: (V, 3) [m] of a mesh, in the obstacle's own frame.
+        """
+        name = f"{_OBSTACLE_NAMES}{name}"
+        # With a gap MuJoCo reports what is near, and nothing is pushed away before it touches.
+        near = {"gap": clearance}
+        place = {"pos": pose[:3], "quat": pose[3:]}
+        if shape == "mesh":
+            flat = " ".join(f"{value:.9g}" for vertex in vertices for value in vertex)
+            self._arena.asset.add("mesh", name=name, vertex=flat)
+            self._arena.worldbody.add("geom", name=name, type=shape, mesh=name, rgba=_OBSTACLE, **near, **place)
+            return
+        self._arena.worldbody.add("geom", name=name, type=shape, size=size, rgba=_OBSTACLE, **near, **place)
 
     def build(self) -> "Scene":
         """Compile the scene.
@@ -153,6 +185,10 @@ class Scene:
         self._payload = [i for i, name in enumerate(names) if "payload_" in name]
         fixed = [i for i in range(model.ngeom) if model.geom_bodyid[i] == 0 and model.geom_contype[i]]
         self._furniture = [i for i in fixed if names[i] != _FLOOR]
+        self._obstacles = {i for i in fixed if names[i].startswith(_OBSTACLE_NAMES)}
+        # Of every geom, the distance [m] nearer than which it counts as touched.
+        self._clearances = model.geom_gap.copy()
+        self._clears = bool(self._clearances.any())
 
     @cached_property
     def reach(self) -> float:
@@ -199,10 +235,26 @@ class Scene:
         if not self.data.ncon:
             return ""
         for contact in self.data.contact:
-            if contact.dist < 0:
+            if contact.dist < (self._clearances[contact.geom].max() if self._clears else 0.0):
                 first, second = (self.thing(int(geom)) for geom in contact.geom)
                 return f"{first} with {second}"
         return ""
+
+    def rooms(self, joints: Array, most: float) -> tuple[float, float]:
+        """Return how much nearer [m] the arm may come to obstacles and to anything else at joint angles (6,) [rad].
+
+        At most ``most`` each. Negative where something touches, or is nearer to an obstacle than its clearance.
+        """
+        self.place(joints)
+        self.model.geom_gap[self._furniture] = self._clearances[self._furniture] + most
+        mujoco.mj_collision(self.model, self.data)
+        self.model.geom_gap[self._furniture] = self._clearances[self._furniture]
+        rooms = [most, most]
+        for contact in self.data.contact if self.data.ncon else ():
+            first, second = contact.geom
+            of = int(not (first in self._obstacles or second in self._obstacles))
+            rooms[of] = min(rooms[of], contact.dist - max(self._clearances[first], self._clearances[second]))
+        return rooms[0], rooms[1]
 
     def thing(self, geom: int) -> str:
         """Return a name for people of a geom: its own, or its body's if it has none."""

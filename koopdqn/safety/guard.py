@@ -90,7 +90,9 @@ class Guard:
         self._trust = trust
         self._frame = frame
 
-    def moves(self, reached: Array, before: Array, joints: Array, starts: Array) -> list[Motion]:
+    def moves(
+        self, reached: Array, before: Array, joints: Array, starts: Array, moved: Array | None = None
+    ) -> list[Motion]:
         """Return what becomes of one step of N episodes: joints, or None with the cause and the detail.
 
         Args:
@@ -98,10 +100,12 @@ class Guard:
             before: poses (N, 7) gone from.
             joints: joint angles (N, 6) [rad] there.
             starts: poses (N, 7) at which the episodes began.
+            moved: (3,) [m] by which the goal is moved, and the rule and the tube with it; None for not at all.
         """
         motions = self.workcell.reachability.move_batch(reached, joints)
-        broken = self.workcell.task.rule_broken(reached)
-        too_far = self._too_far(reached, before, starts)
+        away = np.zeros(7) if moved is None else np.concatenate([moved, np.zeros(4)])
+        broken = self.workcell.task.rule_broken(reached - away)
+        too_far = self._too_far(reached - away, before - away, starts - away)
         for row, motion in enumerate(motions):
             if motion.joints is None:
                 continue
@@ -157,9 +161,12 @@ class Guard:
                 self._note(Refusal(int(steps[row]), motion.reason, motion.detail, reached[row]))
         return motions
 
-    def review(self, poses: Array, joints: Array) -> Refusal | None:
-        """Return the first refused step of a path of poses (T, 7) with joint angles (T, 6) [rad]; None if none is."""
-        motions = self.moves(poses[1:], poses[:-1], joints[:-1], np.broadcast_to(poses[0], poses[1:].shape))
+    def review(self, poses: Array, joints: Array, moved: Array | None = None) -> Refusal | None:
+        """Return the first refused step of a path of poses (T, 7) with joint angles (T, 6) [rad]; None if none is.
+
+        Where the goal is ``moved`` (3,) [m], the poses are those in the world all the same.
+        """
+        motions = self.moves(poses[1:], poses[:-1], joints[:-1], np.broadcast_to(poses[0], poses[1:].shape), moved)
         for step, motion in enumerate(motions):
             if motion.joints is None:
                 return self._note(Refusal(step, motion.reason, motion.detail, poses[step + 1]))

@@ -1,7 +1,7 @@
 """A task defined by demonstrations alone: their starts, their goal, and the mean of their paths."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -28,8 +28,13 @@ _CLEAR_OF_GOAL = 3.0
 class DemonstratedTask(Task):
     """The arm, alone in its scene, repeats what training demonstrations showed.
 
+    Where the goal moves, demonstrations move with it: all poses are told as seen from the goal, as if it were where it
+    was demonstrated, and starts are drawn as they then lie. The arm alone is in the world.
+
     The fields identify the task in artifacts. The demonstrations are not among them; :meth:`shown` takes them.
     """
+
+    goal_moves: ClassVar[bool] = True
 
     turning: RotationType = Field(
         description="held: the goal's orientation all the way, as demonstrated; geodesic: the demonstrated turn is"
@@ -112,13 +117,17 @@ class DemonstratedTask(Task):
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7), each beside the start of a random training demonstration.
 
-        Orientation is that start's. Draws too near to the goal are drawn again.
+        Orientation is that start's. Where the goal moves, they are told as seen from it. Draws too near to the goal are
+        drawn again.
         """
         starts = np.array([trajectory[0] for trajectory in self.trajectories])
         drawn: list[Array] = []
         while len(drawn) < count:
             start = starts[rng.integers(len(starts))].copy()
             start[pose.POSITION] += rng.uniform(-self.start_margin_m, self.start_margin_m, 3)
+            if self.goal_half_range_m is not None:
+                half = np.array(self.goal_half_range_m)
+                start[pose.POSITION] -= rng.uniform(-half, half)
             if pose.position_distance(start, self.goal) > _CLEAR_OF_GOAL * self.goal_tolerance_m:
                 drawn.append(start)
         return np.array(drawn)

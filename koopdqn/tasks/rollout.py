@@ -1,7 +1,7 @@
 """Roll-outs: a controller moves the arm from given starts until each episode ends; wrong actions are not undone."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -27,7 +27,7 @@ Controller = Callable[[Array, Array], np.ndarray]
 
 Moves = Callable[[Array, Array, Array, Array, np.ndarray], list[Motion]]
 """What becomes of a step to poses (N, 7), from poses (N, 7) with joints (N, 6), of episodes that began at starts (N, 7)
-and made (N,) steps."""
+and made (N,) steps. All poses are in the world."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,24 @@ class Episode:
         joints: (T + 1, 6) joint angles [rad].
         outcome: :data:`SUCCESS` or one of :data:`FAILURES`.
         detail: more about a failure, in words.
+        moved: (3,) [m] by which the goal was moved: poses are told as seen from it, so far off they are in the world.
     """
 
     poses: Array
     joints: Array
     outcome: str
     detail: str = ""
+    moved: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def in_world(self) -> Array:
+        """The poses (T + 1, 7) passed in the world."""
+        return np.asarray(self.poses + np.concatenate([self.moved, np.zeros(4)]))
+
+    @property
+    def positions(self) -> Array:
+        """Their positions (T + 1, 3) [m]."""
+        return self.in_world[:, pose.POSITION]
 
     @property
     def steps(self) -> int:
@@ -62,16 +74,19 @@ def roll_out(
     *,
     cut_circles: bool = False,
     moves: Moves | None = None,
+    moved: Array | None = None,
 ) -> list[Episode]:
     """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
 
     An action that the arm cannot carry out ends its episode as a failure. So does one that leaves the pose unchanged: a
     controller without memory would repeat it until the limit. With ``cut_circles`` an episode that returns to one of
     its poses ends there as a step limit, since it would go round in a circle until the limit. ``moves`` decides which
-    steps are made; None makes those that the arm can make.
+    steps are made; None makes those that the arm can make. Where goals are ``moved`` (N, 3) [m], the starts are told as
+    seen from them, and the arm is so far off in the world.
     """
     seen: list[set[bytes]] = [set() for _ in starts]
-    runs = [_Run([start], [angles]) for start, angles in zip(starts, joints, strict=True)]
+    moved = np.zeros((len(starts), 3)) if moved is None else moved
+    runs = [_Run([start], [angles], each) for start, angles, each in zip(starts, joints, moved, strict=True)]
     for _ in range(limit):
         active = [i for i, run in enumerate(runs) if not run.outcome]
         if not active:
@@ -90,9 +105,15 @@ def roll_out(
     return [run.finished() for run in runs]
 
 
-def follow(paths: list[Array], task: Task, reachability: Reachability, joints: Array) -> list[Episode]:
-    """Return the episodes of following given paths (T, 7), each from its joints (6,), to the end or a failure."""
-    runs = [_Run([path[0]], [angles]) for path, angles in zip(paths, joints, strict=True)]
+def follow(
+    paths: list[Array], task: Task, reachability: Reachability, joints: Array, moved: Array | None = None
+) -> list[Episode]:
+    """Return the episodes of following given paths (T, 7), each from its joints (6,), to the end or a failure.
+
+    Where goals are ``moved`` (N, 3) [m], the paths are told as seen from them.
+    """
+    moved = np.zeros((len(paths), 3)) if moved is None else moved
+    runs = [_Run([path[0]], [angles], each) for path, angles, each in zip(paths, joints, moved, strict=True)]
     for t in range(1, max(map(len, paths), default=0)):
         active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
         if active:
@@ -104,11 +125,12 @@ def follow(paths: list[Array], task: Task, reachability: Reachability, joints: A
 class _Run:
     poses: list[Array]
     joints: list[Array]
+    moved: Array
     outcome: str = ""
     detail: str = ""
 
     def finished(self) -> Episode:
-        return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail)
+        return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail, self.moved)
 
 
 def _advance(
@@ -116,12 +138,13 @@ def _advance(
 ) -> None:
     """Move runs one step to the reached poses (N, 7), and set the outcome of those that end."""
     joints = np.array([run.joints[-1] for run in runs])
+    away = np.array([[*run.moved, 0.0, 0.0, 0.0, 0.0] for run in runs])
     before = np.array([run.poses[-1] for run in runs])
     if moves is None:
-        motions = reachability.move_batch(reached, joints)
+        motions = reachability.move_batch(reached + away, joints)
     else:
         starts, steps = np.array([run.poses[0] for run in runs]), np.array([len(run.poses) - 1 for run in runs])
-        motions = moves(reached, before, joints, starts, steps)
+        motions = moves(reached + away, before + away, joints, starts + away, steps)
     stuck = pose.position_distance(reached, before) == 0
     if stuck.any():
         stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) == 0

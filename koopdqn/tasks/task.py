@@ -2,15 +2,17 @@
 
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
+from koopdqn.errors import BadInputError
 from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
 from koopdqn.settings import Settings, Vector3, Vector4
+from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson, Expert, ReferencePath
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE
@@ -57,6 +59,14 @@ class Task(TaskChoice):
     person: AnyPerson = Field(description="who demonstrates and answers")
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
+    obstacles: Obstacles = Field(default=(), description="what else stands in the scene and is kept clear of")
+    goal_half_range_m: Vector3 | None = Field(
+        default=None,
+        description="half the region along each axis from which goals are drawn, around the goal; null: it stays [m]",
+    )
+
+    goal_moves: ClassVar[bool] = False
+    """Whether the goal may move; not where what the demonstrations pass stands still."""
 
     @model_validator(mode="after")
     def _check_step(self) -> "Task":
@@ -80,9 +90,24 @@ class Task(TaskChoice):
             raise ValueError(
                 f"start_tilt_rad must be 0 where start and goal are turned alike, found {self.start_tilt_rad:g}"
             )
+        self._check_goal_range()
         if min(self.start_half_range_m) < 0:
             raise ValueError(f"start_half_range_m must not be negative, found {self.start_half_range_m}")
         return self
+
+    def _check_goal_range(self) -> None:
+        half = self.goal_half_range_m
+        if half is None:
+            return
+        if not self.goal_moves:
+            raise ValueError(
+                f"goal_half_range_m must be null for task {self.name}, whose demonstrations pass things that stand"
+                f" still, found {half}"
+            )
+        if self.obstacles:
+            raise ValueError(f"goal_half_range_m must be null where obstacles stand still, found {half}")
+        if min(half) < 0 or max(half) == 0:
+            raise ValueError(f"goal_half_range_m must not be negative, and above 0 along some axis, found {half}")
 
     @property
     @abstractmethod
@@ -190,6 +215,33 @@ class Task(TaskChoice):
         """Return the task with its start region scaled by ``scale``; tilts stay."""
         x, y, z = self.start_half_range_m
         return self.model_copy(update={"start_half_range_m": (scale * x, scale * y, scale * z)})
+
+    def without_obstacles(self) -> Self:
+        """Return the task with nothing in its scene but its own furniture."""
+        return self.model_copy(update={"obstacles": ()})
+
+    def with_still_goal(self) -> Self:
+        """Return the task with its goal where it is."""
+        return self.model_copy(update={"goal_half_range_m": None})
+
+    def goal_displacement(self, goal: Vector3) -> Array:
+        """Return by how much (3,) [m] a goal is away from the task's own.
+
+        Raises:
+            BadInputError: the task's goal does not move, or not so far.
+        """
+        moved = np.array(goal) - self.goal[pose.POSITION]
+        if self.goal_half_range_m is None:
+            raise BadInputError(
+                f"goal: needs a run of a task with goal_half_range_m, found task {self.name} without"
+                " (only task=demonstrated has one)"
+            )
+        if (np.abs(moved) > np.array(self.goal_half_range_m) + 1e-9).any():
+            raise BadInputError(
+                f"goal: must be at most {list(self.goal_half_range_m)} m along each axis from"
+                f" {np.round(self.goal[pose.POSITION], 4).tolist()} m, found {list(goal)}"
+            )
+        return moved
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7) drawn uniformly from the start region, tilts about the turn's axis."""

@@ -192,6 +192,10 @@ class Workcell:
     scene: Scene
     reachability: Reachability
 
+    def without_obstacles(self) -> "Workcell":
+        """Return the workcell with nothing in its scene but the task's own furniture, as demonstrations knew it."""
+        return open_workcell(self.task.without_obstacles(), self.arm) if self.task.obstacles else self
+
 
 def open_workcell(task: Task, arm: Arm) -> Workcell:
     """Return the workcell of a task and an arm.
@@ -215,6 +219,8 @@ def build_scene(task: Task, arm: Arm) -> Scene:
     try:
         builder = SceneBuilder(arm)
         task.furnish(builder)
+        for obstacle in task.obstacles:
+            obstacle.stand_in(builder)
         return builder.build()
     # MJCF that is no XML raises SyntaxError.
     except (ValueError, SyntaxError) as error:

@@ -16,6 +16,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.tasks.actions import FIRST_TWIST
 from koopdqn.tasks.knife import KnifeTask
+from koopdqn.tasks.moved_goals import DrawnStarts
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability, Workcell
@@ -121,8 +122,8 @@ def learned_motions(
         BadInputError: hardly any start of the region can be taken.
     """
     task = workcell.task
-    starts, joints, _ = drawn_starts(workcell, settings)
-    starts, joints = starts[:count], joints[:count]
+    drawn = shown_starts(workcell, settings)
+    starts, joints = drawn.starts[:count], drawn.joints[:count]
     references = reference_paths(task, starts, step_limit) if referred else [None] * len(starts)
     found = []
     for index, episode in enumerate(roll_out(policy, task, workcell.reachability, starts, joints, step_limit)):
@@ -138,6 +139,16 @@ def learned_motions(
             followed(f"intent from start {index}", "intent", wished, workcell.reachability, task, joints[index])
         )
     return found
+
+
+def shown_starts(workcell: Workcell, settings: EvaluationSettings) -> DrawnStarts:
+    """Return the held-out starts with the goal where it was demonstrated, where it is shown even if it moves.
+
+    Raises:
+        BadInputError: hardly any start of the region can be taken.
+    """
+    still = replace(workcell, task=workcell.task.with_still_goal())
+    return drawn_starts(still, settings.model_copy(update={"goal": None}))
 
 
 def learned_motion(name: str, episode: Episode, task: Task, reference: Array | None) -> Motion:

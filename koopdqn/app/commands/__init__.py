@@ -14,6 +14,7 @@ _COMMANDS: Final = {
     "fit": ("fit.run", ("run", "intent_file")),
     "train": ("train.run", ()),
     "eval": ("eval.run", ("demos", "intent_file")),
+    "correct": ("correct.run", ("demos", "intent_file")),
     "view": ("view.run", ("intent_file",)),
     "explain": ("explain.run", ("demos", "intent_file")),
     "compare": ("compare.run", ("demos", "intent_file")),
@@ -64,9 +65,9 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        looked_at = ("eval", "explain", "compare", "export", "stream", "view")
+        looked_at = ("eval", "explain", "compare", "export", "stream", "view", "correct")
         measured = settings.inputs.run if command in looked_at else None
-        if command in ("fit", "train", "eval", "explain", "compare") or measured is not None:
+        if command in ("fit", "train", "eval", "explain", "compare", "correct") or measured is not None:
             # The run that these read holds its demonstrations; the others keep them in their own folder.
             settings = with_task(settings, measured or folder, keep=measured is None)
         if measured is not None:

@@ -19,7 +19,6 @@ from koopdqn.app.hydra.record import GROUPS
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.evaluation.evaluate import drawn_starts
 from koopdqn.evaluation.metrics import reference_paths
 from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
 from koopdqn.files import write_json
@@ -28,7 +27,7 @@ from koopdqn.pose import POSITION, Array
 from koopdqn.rl.schema import TrainReport
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out
-from koopdqn.view.motions import Motion, demonstrated_motions, learned_motion
+from koopdqn.view.motions import Motion, demonstrated_motions, learned_motion, shown_starts
 from koopdqn.view.page import Listing, Shown, write_page
 from koopdqn.view.schema import ComparedRun, CompareFile, Difference
 
@@ -64,7 +63,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             motions += _motions(each, colour, numbers, starts, runs[0])
             stage.advance()
         cell, items = runs[0].trained.workcell, runs[0].trained.demonstrations.items
-        shown = demonstrated_motions(items, cell.reachability, cell.task, len(items))
+        shown = demonstrated_motions(items, cell.without_obstacles().reachability, cell.task, len(items))
     differences = _differences(runs)
     found = [_told(each, motions) for each in runs]
     listings = [_config_listing(differences, runs), _result_listing(found, len(numbers))]
@@ -120,8 +119,7 @@ def _differences(runs: Sequence[_Run]) -> list[Difference]:
 
 def _starts(runs: Sequence[_Run], config: Configuration) -> tuple[list[int], Array]:
     """Return the first held-out starts (N, 7) that the arms of all runs can take, and their numbers."""
-    starts, _, _ = drawn_starts(runs[0].trained.workcell, config.eval)
-    starts = starts[: config.view.starts]
+    starts = shown_starts(runs[0].trained.workcell, config.eval).starts[: config.view.starts]
     takes = [[each.trained.workcell.reachability.enter(start).joints is not None for start in starts] for each in runs]
     numbers = np.flatnonzero(np.all(takes, axis=0))
     if not len(numbers):

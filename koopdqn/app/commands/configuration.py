@@ -11,6 +11,7 @@ from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.errors import BadInputError, unknown_name
+from koopdqn.evaluation.correction import CorrectionSettings
 from koopdqn.evaluation.evaluate import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
 from koopdqn.intent.model import IntentSettings
@@ -73,6 +74,7 @@ class Configuration:
     view: ViewSettings
     explain: ExplainSettings
     compare: CompareSettings
+    correct: CorrectionSettings
     report: ReportSettings
     import_: ImportSettings
     inspect: InspectSettings

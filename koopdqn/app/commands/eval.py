@@ -18,7 +18,6 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
-from koopdqn.pose import POSITION
 from koopdqn.settings import shown
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
@@ -38,12 +37,13 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
+    from koopdqn.rl.around import around
     from koopdqn.rl.policy import read_policy
 
     source = config.inputs.run
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
-    policy, about = read_policy(source / POLICY, config.task)
+    policy, about = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
@@ -59,12 +59,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
         check_film(film, "eval.video")
     workcell = pipeline.open_scene(config)
+    trajectories = agent_steps(demonstrations, config.task)
+    reward = pipeline.reward_of(config, workcell, intent, trajectories)
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
-            policy,
-            pipeline.intent_reward(config, intent.model, intent.trust),
-            agent_steps(demonstrations, config.task),
+            around(policy, reward.model),
+            reward,
+            trajectories,
             config.eval,
             step_limit,
             stage.advance,
@@ -75,7 +77,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
-    paths = [episode.poses[:, POSITION] for episode in evaluation.episodes[:20]]
+    paths = [episode.positions for episode in evaluation.episodes[:20]]
     image = pipeline.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
     plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [
@@ -123,7 +125,8 @@ def _film(
 
     references = dict(zip(map(id, evaluation.compared), evaluation.references, strict=True))
     learned = learned_motion("a held-out start", drawn, workcell.task, references.get(id(drawn)))
-    shown = demonstrated_motions(demonstrations.items, workcell.reachability, workcell.task, len(demonstrations))
+    clear = workcell.without_obstacles().reachability
+    shown = demonstrated_motions(demonstrations.items, clear, workcell.task, len(demonstrations))
     pipeline.film(path, workcell.scene, learned, shown)
 
 

@@ -11,12 +11,14 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.trained import TrainedRun, read_trained
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.evaluate import drawn_starts
 from koopdqn.files import write_json
+from koopdqn.intent.bend import BentIntent
 from koopdqn.intent.fit import agent_steps
 from koopdqn.pose import Array
+from koopdqn.rl.around import PolicyAround
 from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
 from koopdqn.view.explain import drawn_of, explained_actions, left_at, telling_step, trust_of, walked
+from koopdqn.view.motions import shown_starts
 from koopdqn.view.schema import ExplainFile
 
 if TYPE_CHECKING:
@@ -35,10 +37,16 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if config.inputs.actions != "table1":
         raise BadInputError(f"actions: explain tells of the ten actions of Table 1, found {config.inputs.actions}")
     trained = read_trained(config, source)
+    policy, bent = trained.policy, isinstance(trained.feedback.reward.model, BentIntent)
+    if isinstance(policy, PolicyAround):
+        way = "a correction" if policy.policy.bend is not None else "obstacles that it never saw"
+        raise BadInputError(f"run: explain tells why a network takes an action, found a policy led around {way}")
+    # A scripted person sees no obstacles: their own path leads through them.
+    referred = trained.referred and not bent
     with console.stage("Moving the arm"):
         number, episode = _episode(config, trained)
     task, feedback = trained.workcell.task, trained.feedback
-    walk = walked(episode, trained.policy, feedback, task, trained.step_limit, referred=trained.referred)
+    walk = walked(episode, policy, feedback, task, trained.step_limit, referred=referred)
     row, why = telling_step(walk, task)
     if chosen.step is not None:
         row, why = chosen.step, "it was asked for"
@@ -51,9 +59,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         row, why, off_path = chosen.step or 0, "the pose was given", None
         given, start = np.array(chosen.pose)[None], episode.poses[:1]
         evaluation = feedback.evaluate_actions(given, np.array([row]), start)
-        values, joints = trained.policy.values(given, start)[0], trained.workcell.reachability.enter(given[0]).joints
+        values, joints = policy.values(given, start)[0], trained.workcell.reachability.enter(given[0]).joints
     trajectories = agent_steps(trained.demonstrations, task)
-    local = feedback.reward.model.start_frame.each(trajectories)
+    local = feedback.reward.model.placed(trajectories)
     trusted, trust = trust_of(feedback, evaluation, here)
     content = ExplainFile(
         run=str(source),
@@ -71,7 +79,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         trusted=trusted,
         trust=trust,
         actions=explained_actions(
-            evaluation, here, values, feedback, trained.workcell, local, joints, referred=trained.referred
+            evaluation, here, values, feedback, trained.workcell, local, joints, referred=referred
         ),
     ).model_dump(mode="json")
     write_json(folder / EXPLANATION, content)
@@ -84,7 +92,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
 def _episode(config: Configuration, trained: TrainedRun) -> tuple[int, Episode]:
     """Return the path from the start asked for, or from the first from which the policy fails, with its number."""
-    starts, joints, _ = drawn_starts(trained.workcell, config.eval)
+    drawn = shown_starts(trained.workcell, config.eval)
+    starts, joints = drawn.starts, drawn.joints
     number = config.explain.start
     if number is not None and number >= len(starts):
         raise BadInputError(f"explain.start: must be below eval.episodes ({len(starts)}), found {number}")

@@ -19,11 +19,10 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
+from koopdqn.intent.detour import around_obstacles
 from koopdqn.intent.fit import Fitted, agent_steps, fit
-from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import IntentReward, RewardSettings
 from koopdqn.intent.storage import StoredIntent, read_intent
-from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import MjcfArm
@@ -103,7 +102,8 @@ def _check_followed(config: Configuration, task: DemonstratedTask) -> None:
 
 def _arm_in(config: Configuration, task: DemonstratedTask) -> Reachability:
     """Return the arm in the task's scene, in the posture in which episodes begin if it can take the nominal start."""
-    scene, seconds = build_scene(task, config.robot), config.robot.step_seconds
+    # Obstacles stand where demonstrations went.
+    scene, seconds = build_scene(task.without_obstacles(), config.robot), config.robot.step_seconds
     posture = Reachability(config.robot, scene, seconds).enter(task.nominal_start).joints
     return Reachability(config.robot, scene, seconds, posture)
 
@@ -234,7 +234,8 @@ def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demon
 def generated(title: str, workcell: Workcell, settings: DemonstrationSettings, seed: int) -> Generated:
     """Return new demonstrations of the scripted person; a bar with the title shows how far it has come."""
     with console.stage(title, settings.count) as stage:
-        return generate(workcell.task, workcell.reachability, settings, seed, lambda done: stage.advance())
+        clear = workcell.without_obstacles()
+        return generate(clear.task, clear.reachability, settings, seed, lambda done: stage.advance())
 
 
 def check_scripted(config: Configuration) -> None:
@@ -268,11 +269,6 @@ def fitted_intent(
     return stored, fitted
 
 
-def intent_reward(config: Configuration, model: IntentModel, trust: TrustDomain) -> IntentReward:
-    """Return the reward function (Eqs. 15, 16) of a fitted intent for the config's actions."""
-    return IntentReward(config.task, model, trust, config.reward, continuous=config.agent.continuous)
-
-
 def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Path) -> StoredIntent:
     """Return the intent of ``intent=FILE``, or that of the run folder, or a newly fitted one; the folder keeps it.
 
@@ -294,6 +290,26 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
     elif source != kept and read_intent(kept, config.task).digest() != stored.digest():
         raise BadInputError(f"intent: must be the one that the run holds in {kept}, found another in {source}")
     return stored
+
+
+def reward_of(
+    config: Configuration, workcell: Workcell, intent: StoredIntent | Fitted, trajectories: list[Array]
+) -> IntentReward:
+    """Return the reward function (Eqs. 15, 16) of an intent, bent around obstacles of the task.
+
+    Args:
+        config: gives the task, the settings and the kind of actions.
+        workcell: task, arm and scene.
+        intent: the fitted intent.
+        trajectories: demonstrated poses (N, 7).
+
+    Raises:
+        BadInputError: obstacles leave no way.
+    """
+    made = intent.model, intent.trust, config.reward
+    return around_obstacles(
+        workcell, IntentReward(config.task, *made, continuous=config.agent.continuous), trajectories
+    )
 
 
 def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:

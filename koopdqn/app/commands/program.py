@@ -17,6 +17,7 @@ from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
+from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
 from koopdqn.paths import arc_lengths
 from koopdqn.programs.bag import write_bag
@@ -71,20 +72,33 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
 
 
 def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
-    """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it."""
+    """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it.
+
+    Raises:
+        BadInputError: the run holds no policy of this task, or the start breaks a rule.
+        WorkFailedError: there is no program that keeps every limit and touches nothing.
+    """
+    from koopdqn.rl.around import around, tube_of
     from koopdqn.rl.policy import read_policy
 
     settings = config.program
-    policy, _ = read_policy(run / POLICY, config.task)
+    policy, _ = read_policy(run / POLICY, config.task, anywhere=True)
     step_limit = step_limit_of(run / REPORT)
-    placement = pipeline.demonstrations_of(config, run).placement if settings.frame == "recorded" else None
+    demonstrations = pipeline.demonstrations_of(config, run)
+    placement = demonstrations.placement if settings.frame == "recorded" else None
     if placement is not None:
         console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
     if isinstance(config.task, DemonstratedTask):
         console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
+    if placement is not None and config.task.obstacles:
+        raise BadInputError(
+            "program.frame: must be placed where obstacles stand in the scene, found recorded: they were not there"
+        )
     intent = read_intent(run / pipeline.INTENT, config.task)
-    guard = Guard(workcell, config.guard, intent.trust, intent.model.start_frame)
-    return make_program(workcell, policy, settings, step_limit, placement, guard)
+    reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
+    served = around(policy, reward.model)
+    guard = Guard(workcell, config.guard, tube_of(served, reward.trust), reward.model.start_frame)
+    return make_program(workcell, served, settings, step_limit, placement, guard)
 
 
 def _check_formats(config: Configuration) -> None:

@@ -19,6 +19,7 @@ from koopdqn.intent.reward import BY_MODEL
 from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.around import answering
 from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.events import EventLog
 from koopdqn.rl.history import Check
@@ -51,12 +52,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     checkpoint = read_checkpoint(folder, shaped_by)
     answered = 0 if checkpoint is None else questions_asked(checkpoint)
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
-    oracle = JournalledOracle(config.oracle.open(workcell, config.inputs.seed, folder), folder / JOURNAL, answered)
-    trajectories = intent.model.start_frame.each(agent_steps(demonstrations, config.task))
+    shown_paths = agent_steps(demonstrations, config.task)
+    reward = pipeline.reward_of(config, workcell, intent, shown_paths)
+    opened = answering(config.oracle.open(workcell, config.inputs.seed, folder), config.oracle, reward.model)
+    oracle = JournalledOracle(opened, folder / JOURNAL, answered)
     trainer = Trainer(
         workcell,
-        pipeline.intent_reward(config, intent.model, intent.trust),
-        trajectories,
+        reward,
+        reward.model.placed(shown_paths),
         oracle,
         config.agent,
         config.train,

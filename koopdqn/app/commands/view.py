@@ -63,7 +63,8 @@ def _of_run(config: Configuration, source: Path) -> Shown:
         learned = learned_motions(
             cell, run.policy, run.feedback, config.eval, starts, run.step_limit, referred=run.referred
         )
-        shown = demonstrated_motions(run.demonstrations.items, cell.reachability, config.task, _FOLLOWED)
+        clear = cell.without_obstacles().reachability
+        shown = demonstrated_motions(run.demonstrations.items, clear, config.task, _FOLLOWED)
     return Shown(
         f"koopdqn: task {config.task.name}",
         (

@@ -22,6 +22,7 @@ PATH_KEYS: Final = (
     "report.sweep",
     "view.video",
     "robot.path",
+    "correct.waypoints",
 )
 """Keys whose value is a path: quoted for Hydra's grammar where it needs it, ``~`` expanded."""
 
@@ -36,6 +37,8 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
     "host": "stream.host",
+    "goal": "eval.goal",
+    "waypoints": "correct.waypoints",
 }
 _OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": ("start", "step", "pose")}
 """A command's own keys that need no prefix."""
@@ -69,8 +72,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
-      ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR`` and ``start=`` becomes
-      ``program.start=``.
+      ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR``, ``start=`` becomes
+      ``program.start=``, ``goal=`` becomes ``eval.goal=`` and ``waypoints=`` becomes ``correct.waypoints=``.
+    - ``obstacles=FILE`` becomes ``task.obstacles=`` with what the file holds.
     - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``;
       ``window=`` of ``view`` and ``start=``, ``step=`` and ``pose=`` of ``explain`` are their own in the same way.
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
@@ -117,8 +121,10 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     named = bool(folders) and folders[-1] != "null"
     if command == "view" and named and "demos" in keys:
         raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
+    if command == "correct" and not named:
+        raise BadInputError("run: must name the trained run to correct, found none")
     if (
-        command in ("eval", "explain", "compare")
+        command in ("eval", "explain", "compare", "correct")
         or (command in ("export", "stream") and named)
         or (command == "view" and "demos" not in keys)
     ):
@@ -188,7 +194,9 @@ def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
     given = {_name(override) for override in prepared}
     # A run's own inputs lie in its folder, and nobody is asked any more.
     unread = ("demos", "intent_file", "oracle")
-    recorded = [item for item in _recorded(folder, "train") if item.name not in given and item.root not in unread]
+    recorded = [
+        item for item in _recorded(folder, "train", measured=True) if item.name not in given and item.root not in unread
+    ]
     own = check_record(recorded, Path(folder), _trusted(prepared), [])
     rest = [item for item in prepared if _key(item) != "run"]
     return Prepared([*own, *rest, f"run={_quoted(folder)}", f"command={command}"])
@@ -224,10 +232,28 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
+    if name == "obstacles":
+        return _obstacles(value)
     name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
-    if name in PATH_KEYS and not (name == "demos" and _is_list(value)):
+    if name in PATH_KEYS and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
+
+
+def _obstacles(value: str) -> str:
+    """Return the override that holds the obstacles of a file themselves, so that a run's record needs no file."""
+    from koopdqn.artifact import described
+    from koopdqn.tasks.obstacles import read_obstacles
+
+    found = [described(each) for each in read_obstacles(Path(_unquoted(value)).expanduser())]
+    nodes = [",".join(f"{key}:{_grammar(held)}" for key, held in node.items() if key != "target") for node in found]
+    return f"++task.obstacles=[{','.join(f'{{{node}}}' for node in nodes)}]"
+
+
+def _grammar(value: object) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{','.join(_grammar(each) for each in value)}]"
+    return _literal(value) if isinstance(value, str) else repr(value)
 
 
 def _is_override(text: str) -> bool:
@@ -289,12 +315,14 @@ def _value(override: str) -> str:
     return _unquoted(override.partition("=")[2])
 
 
-def _recorded(folder: str, command: str) -> list[Recorded]:
+def _recorded(folder: str, command: str, *, measured: bool = False) -> list[Recorded]:
     what = _CONTINUED[command]
     if not folder.strip():
         raise BadInputError(f"run: must name the folder of {what}, found ''")
     recorded = read_record(Path(folder), what)
     commands = [item.value for item in recorded if item.key == "command"]
-    if commands and commands[-1] != command:
+    # A corrected run is one of the training it was corrected from, less what going on needs.
+    corrected = command == "train" and measured and commands[-1:] == ["correct"]
+    if commands and commands[-1] != command and not corrected:
         raise BadInputError(f"run: must name a run of {command!r}, found one of {commands[-1]!r} in {folder!r}")
     return recorded

@@ -19,7 +19,7 @@ GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot"
 """The config groups."""
 SECTIONS: Final = (
     *("import", "inspect", "demo", "fit", "reward", "feedback", "train", "eval", "report"),
-    *("export", "program", "stream", "guard", "view", "explain", "compare"),
+    *("export", "program", "stream", "guard", "view", "explain", "compare", "correct"),
 )
 """The root's keys that hold keys."""
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
@@ -32,7 +32,7 @@ PATH_NAMES: Final = (
 # What says where this run lies and whom its user trusts is for the present command line to say.
 _OF_THE_COMMAND: Final = (
     *("command", "out", "run", "trust_modules", "inspect", "report", "export", "program", "stream", "guard"),
-    *("view", "explain", "compare"),
+    *("view", "explain", "compare", "correct"),
 )
 _LARGEST: Final = 64 * 1024
 _MOST: Final = 1000

@@ -1,0 +1,142 @@
+"""Obstacles: what stands in a task's scene besides its own furniture, each with a clearance."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, Strict, model_validator
+
+from koopdqn import pose
+from koopdqn.errors import BadInputError
+from koopdqn.settings import Settings, Vector3, Vector4, plain, validate
+
+if TYPE_CHECKING:
+    from koopdqn.robot.scene import SceneBuilder
+
+_NEEDED = {
+    "box": ("size_m",),
+    "sphere": ("radius_m",),
+    "cylinder": ("radius_m", "height_m"),
+    "mesh": ("vertices_m",),
+}
+_MEASURES = ("size_m", "radius_m", "height_m", "vertices_m")
+# A convex hull of more corners says nothing that matters for keeping clear, and every artifact holds them.
+_MOST_VERTICES = 500
+
+
+class Obstacle(Settings):
+    """A thing that stands still in the scene and is kept clear of, drawn and collided with.
+
+    A mesh counts as its convex hull. Where ``file`` names an STL or OBJ file, its hull's corners become ``vertices_m``.
+    """
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    shape: Literal["box", "sphere", "cylinder", "mesh"]
+    center_m: Vector3 = Field(description="in UR Base; of a mesh, the origin of its vertices [m]")
+    quaternion: Vector4 = Field(default=(1.0, 0.0, 0.0, 0.0), description="w, x, y, z in UR Base")
+    size_m: Vector3 | None = Field(default=None, description="edges of a box [m]")
+    radius_m: float | None = Field(default=None, gt=0, description="of a sphere or a cylinder [m]")
+    height_m: float | None = Field(default=None, gt=0, description="of a cylinder along its z axis [m]")
+    vertices_m: Annotated[tuple[Vector3, ...], Strict(False)] | None = Field(
+        default=None, description="points of a mesh, in its own frame [m]"
+    )
+    clearance_m: float = Field(default=0.01, ge=0, le=0.5, description="least distance of everything else [m]")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_file(cls, content: Any) -> Any:
+        if not isinstance(content, dict) or content.get("file") is None:
+            return content
+        held = {key: value for key, value in content.items() if key != "file"}
+        if held.get("vertices_m") is not None:
+            raise ValueError("a mesh must come from file or from vertices_m, found both")
+        return {**held, "vertices_m": hull_of_file(Path(str(content["file"])))}
+
+    @model_validator(mode="after")
+    def _check_measures(self) -> "Obstacle":
+        needed = _NEEDED[self.shape]
+        for name in _MEASURES:
+            value = getattr(self, name)
+            if value is None and name in needed:
+                raise ValueError(f"{self.name}: a {self.shape} must have {name}, found none")
+            if value is not None and name not in needed:
+                raise ValueError(f"{self.name}: a {self.shape} must have {' and '.join(needed)} alone, found {name}")
+        if self.size_m is not None and min(self.size_m) <= 0:
+            raise ValueError(f"{self.name}: size_m must be above 0 along each axis, found {self.size_m}")
+        if self.vertices_m is not None and not 4 <= len(self.vertices_m) <= _MOST_VERTICES:
+            raise ValueError(
+                f"{self.name}: vertices_m must be 4 to {_MOST_VERTICES} points, found {len(self.vertices_m)}"
+            )
+        length = float(np.linalg.norm(self.quaternion))
+        if abs(length - 1.0) > 1e-3:
+            raise ValueError(f"{self.name}: quaternion must have length 1 within 0.001, found {length:g}")
+        return self
+
+    def stand_in(self, scene: "SceneBuilder") -> None:
+        """Add the obstacle to a scene."""
+        size = {
+            "box": [0.5 * edge for edge in self.size_m or ()],
+            "sphere": [self.radius_m or 0.0],
+            "cylinder": [self.radius_m or 0.0, 0.5 * (self.height_m or 0.0)],
+            "mesh": [],
+        }[self.shape]
+        place = pose.make(self.center_m, self.quaternion)
+        scene.obstacle(self.name, self.shape, place, size, self.clearance_m, self.vertices_m or ())
+
+
+Obstacles = Annotated[tuple[Obstacle, ...], Strict(False)]
+
+
+class _File(Settings):
+    obstacles: Obstacles
+
+
+def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
+    """Return the obstacles of a YAML file: a list, or a mapping with the key ``obstacles``; mesh files lie beside it.
+
+    Raises:
+        BadInputError: the file is missing or no YAML, or an obstacle breaks a rule.
+    """
+    import yaml
+
+    if not path.is_file():
+        raise BadInputError(f"obstacles: must name a YAML file, found no file {str(path)!r}")
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise BadInputError(f"obstacles {path}: must be YAML, found {' '.join(str(error).split())}") from error
+    found = content if isinstance(content, dict) else {"obstacles": content}
+    items = found.get("obstacles")
+    if isinstance(items, list):
+        found = {**found, "obstacles": [_beside(path, item) for item in items]}
+    return validate(plain(found), _File, "").obstacles
+
+
+def _beside(path: Path, item: Any) -> Any:
+    if isinstance(item, dict) and isinstance(item.get("file"), str):
+        return {**item, "file": str(path.parent / item["file"])}
+    return item
+
+
+def hull_of_file(path: Path) -> list[list[float]]:
+    """Return the corners [m] of the convex hull of an STL or OBJ file, as MuJoCo reads it.
+
+    Raises:
+        ValueError: the file is missing or MuJoCo cannot read it.
+    """
+    import mujoco
+    from scipy.spatial import ConvexHull
+
+    if not path.is_file():
+        raise ValueError(f"file must name an STL or OBJ file, found no file {str(path)!r}")
+    spec = mujoco.MjSpec()
+    spec.add_mesh(name="mesh", file=str(path.resolve()))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ValueError(f"file must be a mesh that MuJoCo reads, found {' '.join(str(error).split())}") from error
+    # MuJoCo moves a mesh to its principal axes.
+    points = pose.rotate(model.mesh_quat[0], model.mesh_vert.astype(float)) + model.mesh_pos[0]
+    corners = points[ConvexHull(points).vertices]
+    return [[round(float(value), 6) for value in corner] for corner in corners]

@@ -1,0 +1,124 @@
+"""Moved goals: what was demonstrated moves with them, and the arm goes to where they are in the world."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_shown import arc, derivation, recorded, shown
+from parts import load_parts, with_fields
+from pydantic import ValidationError
+
+from koopdqn import pose
+from koopdqn.demonstrations.derivation import Derived
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.baselines import Greedy
+from koopdqn.evaluation.evaluate import EvaluationSettings, drawn_starts, evaluate
+from koopdqn.intent.fit import agent_steps, fit
+from koopdqn.intent.reward import IntentReward
+from koopdqn.tasks.rollout import SUCCESS
+from koopdqn.tasks.workcell import Workcell, open_workcell
+
+PARTS = load_parts("intent.count=200")
+HALF = (0.08, 0.1, 0.06)
+SETTINGS = EvaluationSettings(
+    episodes=6,
+    seed=2000,
+    start_scale=1.0,
+    dynamics=False,
+    dynamics_episodes=1,
+    time_scale=2.0,
+    baselines=False,
+    video=False,
+)
+
+
+@cache
+def _derived(half: tuple[float, float, float] | None = HALF) -> Derived:
+    recipe = derivation().model_copy(update={"goal_half_range_m": half})
+    return recipe.derive(shown(*(recorded(arc(offset)) for offset in (0.0, 0.01, 0.02))))
+
+
+@cache
+def _cell() -> Workcell:
+    return open_workcell(_derived().task, PARTS.arm)
+
+
+@cache
+def _reward() -> IntentReward:
+    fitted = fit(_derived().training, _derived().task, PARTS.intent, PARTS.trust, PARTS.reward)
+    return IntentReward(_derived().task, fitted.model, fitted.trust, PARTS.reward)
+
+
+def _evaluated(**changed: Any) -> Any:
+    controller = Greedy(_reward().model, _derived().task)
+    trajectories = agent_steps(_derived().training, _derived().task)
+    settings = SETTINGS.model_copy(update=changed)
+    held_out = [item.poses for item in _derived().held_out]
+    return evaluate(_cell(), controller, _reward(), trajectories, settings, 800, held_out=held_out)
+
+
+def test_goals_are_drawn_from_their_region_and_starts_from_theirs() -> None:
+    drawn = drawn_starts(_cell(), SETTINGS)
+    assert (np.abs(drawn.moved) <= HALF).all()
+    assert len(np.unique(drawn.moved, axis=0)) == len(drawn.moved)
+    still = open_workcell(_derived(None).task, PARTS.arm)
+    own = drawn_starts(still, SETTINGS)
+    assert not own.moved.any()
+    # In the world the starts are those of a goal that stays.
+    assert np.allclose(drawn.starts[:, :3] + drawn.moved, own.starts[:, :3])
+
+
+def test_training_starts_are_as_far_from_the_goal_as_any_goal_may_be_from_its_place() -> None:
+    task = _derived().task
+    starts = task.draw_starts(np.random.default_rng(0), 400)[:, :3]
+    known = task.with_still_goal().draw_starts(np.random.default_rng(0), 400)[:, :3]
+    grown = np.ptp(starts, axis=0) - np.ptp(known, axis=0)
+    assert (grown > 1.6 * np.array(HALF)).all()
+    assert (grown < 2.4 * np.array(HALF)).all()
+
+
+def test_a_goal_that_stays_draws_the_starts_it_always_drew() -> None:
+    one, other = (each.draw_starts(np.random.default_rng(3), 20) for each in (_derived(None).task, _derived(None).task))
+    assert np.array_equal(one, other)
+    assert np.array_equal(one, _derived().task.with_still_goal().draw_starts(np.random.default_rng(3), 20))
+
+
+def test_the_arm_reaches_a_goal_that_is_given_in_the_world() -> None:
+    goal = _derived().task.goal[:3] + np.array([0.05, -0.08, 0.04])
+    found = _evaluated(goal=tuple(goal.tolist()))
+    assert [episode.outcome for episode in found.episodes] == [SUCCESS] * 6
+    for episode in found.episodes:
+        flange = _cell().reachability.flange_poses(episode.joints[[0, -1]])
+        assert np.linalg.norm(flange[1, :3] - goal) <= _derived().task.goal_tolerance_m + 1e-6
+        assert np.allclose(episode.positions[[0, -1]], flange[:, :3], atol=1e-6)
+    # The held-out demonstration is moved with the goal.
+    assert found.report["holdout"]["policy"]["success_rate"] == 1.0
+
+
+def test_goals_drawn_anew_are_reached() -> None:
+    assert _evaluated().report["success_rate"] == 1.0
+
+
+def test_a_goal_out_of_its_region_or_of_a_task_without_one_is_refused() -> None:
+    task = _derived().task
+    with pytest.raises(BadInputError, match=r"goal: must be at most \[0.08, 0.1, 0.06\] m"):
+        task.goal_displacement(tuple((task.goal[:3] + np.array([0.09, 0.0, 0.0])).tolist()))
+    with pytest.raises(BadInputError, match=r"goal: needs a run of a task with goal_half_range_m"):
+        PARTS.task.goal_displacement((0.5, 0.1, 0.5))
+
+
+def test_a_task_whose_furniture_stands_still_has_no_moving_goal() -> None:
+    with pytest.raises(BadInputError, match="goal_half_range_m must be null for task shelf"):
+        with_fields(PARTS.task, goal_half_range_m=[0.1, 0.1, 0.1])
+
+
+@pytest.mark.parametrize("half", [(0.0, 0.0, 0.0), (-0.1, 0.1, 0.1)])
+def test_a_goal_range_must_be_one(half: tuple[float, float, float]) -> None:
+    with pytest.raises(ValidationError, match="must not be negative, and above 0"):
+        _derived(half)
+
+
+def test_the_goal_moves_positions_alone() -> None:
+    drawn = drawn_starts(_cell(), SETTINGS)
+    assert np.allclose(pose.rotation_distance(drawn.starts, _derived().task.nominal_start), 0.0, atol=1e-6)

@@ -1,0 +1,165 @@
+"""Obstacles: they stand in the scene with a clearance, and an intent is bent around them with the whole arm."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_shelf import PARTS, reward_of, shelf, taught
+from pydantic import ValidationError
+
+from koopdqn import pose
+from koopdqn.app.hydra.compose import composed
+from koopdqn.app.hydra.overrides import prepare
+from koopdqn.artifact import described
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.baselines import Greedy
+from koopdqn.intent import detour as planning
+from koopdqn.intent.bend import BentIntent
+from koopdqn.intent.detour import around_obstacles, detour
+from koopdqn.intent.reward import IntentReward
+from koopdqn.settings import load_settings
+from koopdqn.tasks.obstacles import Obstacle, read_obstacles
+from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.workcell import COLLISION, Workcell, build_scene, open_workcell
+
+ON_THE_WAY = {"name": "lamp", "shape": "sphere", "center_m": (0.577, -0.085, 0.59), "radius_m": 0.03}
+ASIDE = {**ON_THE_WAY, "center_m": (0.2, -0.6, 0.2)}
+CUBE = [[x, y, z] for x in (-0.03, 0.03) for y in (-0.03, 0.03) for z in (-0.03, 0.03)]
+
+
+def _with(*obstacles: dict[str, Any]) -> Workcell:
+    task = PARTS.task.model_copy(update={"obstacles": tuple(Obstacle.model_validate(each) for each in obstacles)})
+    return open_workcell(task, PARTS.arm)
+
+
+@cache
+def _among() -> tuple[Workcell, IntentReward]:
+    cell = _with(ON_THE_WAY)
+    known = taught()
+    return cell, around_obstacles(cell, reward_of(known), known.trajectories)
+
+
+def _greedy(cell: Workcell, reward: IntentReward, *, unbent: bool = False) -> Episode:
+    start = cell.task.nominal_start
+    joints = cell.reachability.enter(start).joints
+    assert joints is not None
+    controller = Greedy(reward.model.unbent if unbent else reward.model, cell.task)
+    return roll_out(controller, cell.task, cell.reachability, start[None], joints[None], 800)[0]
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        {"shape": "box", "size_m": (0.06, 0.06, 0.06)},
+        {"shape": "sphere", "radius_m": 0.03},
+        {"shape": "cylinder", "radius_m": 0.03, "height_m": 0.06},
+        {"shape": "mesh", "vertices_m": CUBE},
+    ],
+)
+def test_what_is_nearer_than_the_clearance_touches(shape: dict[str, Any]) -> None:
+    # The bottle hangs 0.15 m before the flange; the thing stands 0.03 m + gap behind its wall, along +x.
+    start = PARTS.task.nominal_start
+    joints = shelf().reachability.enter(start).joints
+    assert joints is not None
+    wall = start[0] + PARTS.task.grip_m + PARTS.task.bottle_radius_m
+    for gap, touches in ((0.015, True), (0.025, False), (-0.005, True)):
+        held = {"name": "thing", "center_m": (wall + gap + 0.03, start[1], start[2]), "clearance_m": 0.02, **shape}
+        task = PARTS.task.model_copy(update={"obstacles": (Obstacle.model_validate(held),)})
+        scene = build_scene(task, PARTS.arm)
+        assert ("obstacle_thing" in scene.contact(joints)) == touches
+        assert scene.rooms(joints, 0.05)[0] == pytest.approx(gap - 0.02, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"radius_m": None}, "must have radius_m, found none"),
+        ({"height_m": 0.1}, "must have radius_m alone, found height_m"),
+        ({"shape": "box", "radius_m": None, "size_m": (0.1, 0.0, 0.1)}, "size_m must be above 0"),
+        ({"shape": "mesh", "radius_m": None, "vertices_m": CUBE[:3]}, "vertices_m must be 4 to 500 points, found 3"),
+        ({"shape": "mesh", "radius_m": None, "file": "nowhere.stl"}, "found no file"),
+        ({"quaternion": (1.0, 1.0, 0.0, 0.0)}, "quaternion must have length 1"),
+    ],
+)
+def test_an_obstacle_that_breaks_a_rule_is_refused(changed: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Obstacle.model_validate({**ON_THE_WAY, **changed})
+
+
+def test_a_mesh_file_becomes_the_corners_of_its_hull(tmp_path: Path) -> None:
+    # Every face of the hull once, as fans of triangles.
+    sides = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
+    lines = [f"v {x + 0.2} {y} {z}" for x, y, z in CUBE] + [f"f {a} {b} {c}" for a, b, c in faces]
+    (tmp_path / "cube.obj").write_text("\n".join(lines))
+    (tmp_path / "scene.yaml").write_text("- {name: cube, shape: mesh, center_m: [0.5, 0.0, 0.5], file: cube.obj}")
+    (found,) = read_obstacles(tmp_path / "scene.yaml")
+    assert np.allclose(sorted(found.vertices_m or ()), sorted((x + 0.2, y, z) for x, y, z in CUBE), atol=1e-5)
+
+
+def test_a_file_of_obstacles_becomes_part_of_the_task(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(
+        "obstacles:\n- {name: lamp, shape: sphere, center_m: [0.577, -0.085, 0.59], radius_m: 0.03}\n"
+    )
+    overrides = prepare("train", [f"obstacles={tmp_path / 'scene.yaml'}", "out=unused"]).overrides
+    task = load_settings(composed(overrides).task, Task, "task")
+    assert task.obstacles == (Obstacle.model_validate(ON_THE_WAY),)
+    assert not any(str(tmp_path) in each for each in overrides)
+    with pytest.raises(BadInputError, match="found no file"):
+        prepare("train", ["obstacles=nowhere.yaml"])
+
+
+def test_a_task_without_obstacles_is_described_as_before_there_were_any() -> None:
+    assert "obstacles" not in described(PARTS.task)
+    assert described(_among()[0].task.without_obstacles()) == described(PARTS.task)
+
+
+def test_nothing_is_bent_where_nothing_is_in_the_way() -> None:
+    known = taught()
+    starts = np.array([rows[0] for rows in known.trajectories])
+    assert detour(_with(ASIDE), known.model, starts) is None
+    reward = reward_of(known)
+    assert around_obstacles(_with(ASIDE), reward, known.trajectories) is reward
+
+
+def test_the_bent_path_is_clear_and_leads_back_to_the_demonstrated_one() -> None:
+    cell, reward = _among()
+    assert isinstance(reward.model, BentIntent)
+    bend = reward.model.bend
+    path = reward.model.intended_paths(cell.task.nominal_start[None], 1000, cell.task.step_m)[:, 0]
+    joints, reason = cell.reachability.follow(path)
+    assert reason == ""
+    assert joints is not None
+    assert min(cell.scene.rooms(each, 0.02)[0] for each in joints) > 0.01
+    assert pose.norm(bend.offsets[[0, -1]]).max() == 0.0
+    moved = np.flatnonzero(pose.norm(bend.offsets) > 0.005)
+    # No more than a third of the path is left for one lamp.
+    assert 0 < moved[-1] - moved[0] < len(bend.path) * 0.7
+    assert cell.task.reached(path[-1:])[0]
+
+
+def test_the_intent_alone_hits_what_the_bent_intent_goes_around() -> None:
+    cell, reward = _among()
+    assert _greedy(cell, reward, unbent=True).outcome == COLLISION
+    assert _greedy(cell, reward).outcome == SUCCESS
+
+
+def test_a_state_on_the_bent_path_is_trusted_as_the_one_on_the_path_was() -> None:
+    _, reward = _among()
+    known = taught()
+    (bent,) = reward.model.placed(known.trajectories[:1])
+    steps = np.arange(len(bent))
+    was = known.trust.contains(known.trajectories[0], steps)
+    assert (reward.trust.contains(bent, steps) == was).mean() > 0.95
+    assert was.mean() > 0.9
+
+
+def test_obstacles_that_leave_no_way_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning, "_REACHES", ((2, 0.05, 0.05),))
+    known = taught()
+    wall = {**ON_THE_WAY, "shape": "box", "radius_m": None, "size_m": (0.3, 0.02, 0.5), "center_m": (0.6, -0.09, 0.6)}
+    with pytest.raises(BadInputError, match=r"must leave a way around within 0\.025 m"):
+        around_obstacles(_with(wall), reward_of(known), known.trajectories)

@@ -1,0 +1,139 @@
+"""Correcting a learned path: it leads through the waypoints shown, and stays what it was elsewhere."""
+
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from helpers_shelf import PARTS, reward_of, shelf, taught
+
+from koopdqn import pose
+from koopdqn.app import cli
+from koopdqn.artifact import described
+from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, played
+from koopdqn.intent.bend import Bend, BentIntent
+from koopdqn.pose import Array
+from koopdqn.rl.around import PolicyAround, around
+from koopdqn.rl.dqn import Learner
+from koopdqn.rl.network import size
+from koopdqn.rl.policy import Policy, read_policy, write_corrected, write_policy
+from koopdqn.settings import validate
+from koopdqn.tasks.start_frame import STILL
+
+LIMIT = 800
+X = np.linspace(0.0, 0.4, 41)
+LINE = np.stack([X, np.zeros_like(X), np.zeros_like(X)], axis=1)
+
+
+class _Rewarded(Policy):
+    """Values actions as the intent rewards them."""
+
+    def __init__(self) -> None:
+        super().__init__(cast(Any, None), shelf().task)
+
+    def values(self, poses: Array, starts: Array) -> np.ndarray:
+        steps = np.zeros(len(poses), dtype=np.int64)
+        return reward_of(taught()).evaluate_actions(poses, steps, starts).reward
+
+
+def _apart(points: Array, line: Array) -> Array:
+    return np.asarray(np.linalg.norm(points[:, None] - line, axis=2).min(axis=1))
+
+
+def test_a_bend_leads_through_its_waypoints_and_moves_nothing_elsewhere() -> None:
+    waypoints = np.array([[0.15, 0.02, 0.0], [0.2, 0.04, 0.01], [0.25, 0.02, 0.0]])
+    bend = Bend.none(LINE).through(waypoints)
+    assert _apart(waypoints, bend.bent).max() < 1e-9
+    far = (bend.path[:, 0] < 0.15 - 0.03 - 1e-9) | (bend.path[:, 0] > 0.25 + 0.03 + 1e-9)
+    assert far.sum() > 400
+    assert not bend.offsets[far].any()
+    assert (bend.offsets[:, 1] >= 0.0).all()
+
+
+def test_a_second_correction_keeps_the_first() -> None:
+    first = Bend.none(LINE).through(np.array([[0.1, 0.02, 0.0]]))
+    both = first.through(np.array([[0.3, 0.0, 0.02]]))
+    left = both.path[:, 0] < 0.2
+    assert np.array_equal(both.offsets[left], first.offsets[left])
+    assert both.offsets[~left, 2].max() == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "said"),
+    [
+        ([[0.2, 0.02, 0.0], [0.15, 0.02, 0.0]], "in the order in which the path passes them"),
+        ([[0.2, 0.3, 0.0]], r"within 0\.2 m of the learned path, found one 0\.300 m away"),
+        ([[0.01, 0.02, 0.0]], r"at least 0\.02 m of path from its start"),
+    ],
+)
+def test_waypoints_that_no_path_can_take_are_refused(waypoints: list[list[float]], said: str) -> None:
+    with pytest.raises(BadInputError, match=said):
+        Bend.none(LINE).through(np.array(waypoints))
+
+
+def test_the_corrected_stretch_is_followed_and_the_rest_stays() -> None:
+    policy = _Rewarded()
+    old = played(shelf(), policy, LIMIT)
+    was = along(old)
+    middle = np.linspace(0.45, 0.65, 4) * len(was.path)
+    waypoints = was.path[middle.astype(int)] + 0.04 * np.array([[0.0, 0.0, 0.6], [0, 0, 1], [0, 0, 1], [0, 0, 0.6]])
+    now = was.through(waypoints)
+    found = Followed.of(old, played(shelf(), PolicyAround(policy, now), LIMIT), was, now, waypoints)
+    assert found.moved.max() > 0.039
+    assert found.missed.max() < 0.003
+    assert found.inside.max() < 0.0035
+    assert found.before.max() < 1e-9
+    assert found.behind.mean() < 0.002
+
+
+def test_what_the_arm_cannot_follow_is_told() -> None:
+    policy = _Rewarded()
+    was = along(played(shelf(), policy, LIMIT))
+    # Into the side wall of the shelf.
+    wall = was.path[[len(was.path) // 2]] + np.array([[0.15, -0.02, -0.06]])
+    with pytest.raises(WorkFailedError, match="the path must reach the goal, found collision"):
+        played(shelf(), PolicyAround(policy, was.through(wall)), LIMIT)
+
+
+def test_a_correction_is_kept_with_the_policy(tmp_path: Path) -> None:
+    task, agent = PARTS.task, PARTS.agent
+    learner = Learner(size(task), agent, np.random.default_rng(0))
+    about = {"task": described(task)}
+    write_policy(tmp_path / "old.safetensors", learner.policy_arrays(), agent.network, STILL, about)
+    bend = Bend.none(LINE).through(np.array([[0.2, 0.04, 0.0]]))
+    write_corrected(tmp_path / "new.safetensors", tmp_path / "old.safetensors", bend)
+    old, new = (read_policy(tmp_path / name, task)[0] for name in ("old.safetensors", "new.safetensors"))
+    model = taught().model
+    assert old.bend is None
+    assert around(old, model) is old
+    assert new.bend is not None
+    assert np.array_equal(new.bend.bent, bend.bent)
+    assert isinstance(around(new, model), PolicyAround)
+    with pytest.raises(BadInputError, match="a corrected run serves the scene in which it was corrected"):
+        around(new, BentIntent(model, bend))
+    start = task.nominal_start[None]
+    assert np.array_equal(old.values(start, start), new.values(start, start))
+
+
+def test_waypoints_are_a_list_or_a_file(tmp_path: Path) -> None:
+    (tmp_path / "better.csv").write_text("0.1,0.2,0.3\n0.2,0.2,0.3\n")
+    read = validate({"waypoints": str(tmp_path / "better.csv")}, CorrectionSettings)
+    assert read == validate({"waypoints": [[0.1, 0.2, 0.3], [0.2, 0.2, 0.3]]}, CorrectionSettings)
+    for wrong in (str(tmp_path / "none.csv"), [[0.1, 0.2]], [["x", 0.2, 0.3]]):
+        with pytest.raises(BadInputError, match=r"waypoints"):
+            validate({"waypoints": wrong}, CorrectionSettings)
+
+
+def test_the_command_says_what_it_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["correct", "waypoints=[[0.4,0.0,0.5]]"]) == 2
+    assert "run: must name the trained run to correct, found none" in capsys.readouterr().err
+
+
+def test_a_pose_beside_an_unmoved_place_gets_the_policys_own_action() -> None:
+    policy = _Rewarded()
+    path = along(played(shelf(), policy, LIMIT))
+    bend = path.through(path.path[[len(path.path) // 2]] + np.array([[0.0, 0.0, 0.03]]))
+    poses = np.tile(shelf().task.nominal_start, (5, 1))
+    poses[:, pose.POSITION] += np.random.default_rng(0).normal(scale=0.002, size=(5, 3))
+    assert np.array_equal(PolicyAround(policy, bend)(poses, poses), policy(poses, poses))
