@@ -155,7 +155,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
 
 def test_an_unknown_command_lists_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert refused(capsys, "trian").endswith(
-        "valid: correct, demo, doctor, eval, export, feedback, fit, import, report, train, view"
+        "valid: correct, demo, doctor, eval, export, feedback, fit, import, inspect, report, train, view"
     )
 
 
