@@ -1,6 +1,7 @@
 """What `koopdqn explain` shows: the step that tells most, and what is known of the ten actions there."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,10 @@ from small_run import SMALL
 from koopdqn import console, pose
 from koopdqn.app import cli
 from koopdqn.app.hydra.overrides import prepare
+from koopdqn.intent.bend import Bend
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
+from koopdqn.rl.policy import write_corrected
 from koopdqn.tasks.rollout import RULE_BROKEN, STEP_LIMIT, STUCK, SUCCESS, Episode
 from koopdqn.view.explain import Walk, left_at, telling_step
 from koopdqn.view.schema import ExplainFile
@@ -109,6 +112,14 @@ def test_without_a_start_the_first_failure_is_explained(
     assert content["why_step"] != "it was asked for"
     for start in range(content["start"]):
         assert explained(run, tmp_path / f"b{start}", capsys, f"start={start}")["outcome"] == SUCCESS
+
+
+def test_a_corrected_run_is_not_explained(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    line = straight_poses(shelf().task.nominal_start[:3], shelf().task.goal[:3], COUNT, shelf().task.goal[3:])[:, :3]
+    write_corrected(tmp_path / "run" / "policy.safetensors", run / "policy.safetensors", Bend.none(line))
+    assert cli.main(["explain", f"run={tmp_path}/run", f"out={tmp_path}/out"]) == 2
+    assert capsys.readouterr().err.endswith("found a policy led around a correction\n")
 
 
 def test_a_step_of_a_path_is_explained(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

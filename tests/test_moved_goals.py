@@ -10,16 +10,20 @@ from parts import load_parts, with_fields
 from pydantic import ValidationError
 
 from koopdqn import pose
+from koopdqn.app.api import load_config
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import EvaluationSettings, drawn_starts, evaluate
 from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.reward import IntentReward
+from koopdqn.safety import Guard
+from koopdqn.safety.guard import TUBE
 from koopdqn.tasks.rollout import SUCCESS
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 PARTS = load_parts("intent.count=200")
+GUARD = load_config().guard
 HALF = (0.08, 0.1, 0.06)
 SETTINGS = EvaluationSettings(
     episodes=6,
@@ -55,7 +59,7 @@ def _evaluated(**changed: Any) -> Any:
     trajectories = agent_steps(_derived().training, _derived().task)
     settings = SETTINGS.model_copy(update=changed)
     held_out = [item.poses for item in _derived().held_out]
-    return evaluate(_cell(), controller, _reward(), trajectories, settings, 800, held_out=held_out)
+    return evaluate(_cell(), controller, _reward(), trajectories, settings, 800, held_out=held_out, guard=GUARD)
 
 
 def test_goals_are_drawn_from_their_region_and_starts_from_theirs() -> None:
@@ -94,6 +98,18 @@ def test_the_arm_reaches_a_goal_that_is_given_in_the_world() -> None:
         assert np.allclose(episode.positions[[0, -1]], flange[:, :3], atol=1e-6)
     # The held-out demonstration is moved with the goal.
     assert found.report["holdout"]["policy"]["success_rate"] == 1.0
+
+
+def test_the_guard_and_its_tube_go_with_the_goal() -> None:
+    goal = tuple((_derived().task.goal[:3] + np.array([0.05, -0.08, 0.04])).tolist())
+    found = _evaluated(goal=goal, dynamics=True)
+    assert found.report["dynamics"]["guard"]["stopped"] == 0
+    episode = found.episodes[0]
+    keeper = Guard(_cell(), GUARD, _reward().trust, _reward().model.start_frame)
+    assert keeper.review(episode.in_world, episode.joints, episode.moved) is None
+    refused = keeper.review(episode.in_world, episode.joints)
+    assert refused is not None
+    assert refused.cause == TUBE
 
 
 def test_goals_drawn_anew_are_reached() -> None:

@@ -9,17 +9,21 @@ from helpers_shelf import PARTS, reward_of, shelf, taught
 
 from koopdqn import pose
 from koopdqn.app import cli
+from koopdqn.app.api import load_config
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, played
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround, around
+from koopdqn.rl.around import PolicyAround, around, tube_of
 from koopdqn.rl.dqn import Learner
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import Policy, read_policy, write_corrected, write_policy
+from koopdqn.safety import Guard
+from koopdqn.safety.guard import TUBE
 from koopdqn.settings import validate
 from koopdqn.tasks.start_frame import STILL
+from koopdqn.tasks.twists import twists_between
 
 LIMIT = 800
 X = np.linspace(0.0, 0.4, 41)
@@ -35,6 +39,23 @@ class _Rewarded(Policy):
     def values(self, poses: Array, starts: Array) -> np.ndarray:
         steps = np.zeros(len(poses), dtype=np.int64)
         return reward_of(taught()).evaluate_actions(poses, steps, starts).reward
+
+
+class _Twisted(Policy):
+    """Takes the twists to where the intent leads."""
+
+    def __init__(self, bend: Bend | None = None) -> None:
+        super().__init__(cast(Any, None), shelf().task, continuous=True, bend=bend)
+
+    def values(self, poses: Array, starts: Array) -> np.ndarray:
+        model, task = taught().model, shelf().task
+        return twists_between(poses, model.to_step(poses, model.intended(poses, starts), task.step_m), task)
+
+
+def _lifted(was: Bend) -> Array:
+    """Return four waypoints up to 40 mm above the middle of a path."""
+    middle = np.linspace(0.45, 0.65, 4) * len(was.path)
+    return was.path[middle.astype(int)] + 0.04 * np.array([[0.0, 0.0, 0.6], [0, 0, 1], [0, 0, 1], [0, 0, 0.6]])
 
 
 def _apart(points: Array, line: Array) -> Array:
@@ -72,19 +93,30 @@ def test_waypoints_that_no_path_can_take_are_refused(waypoints: list[list[float]
         Bend.none(LINE).through(np.array(waypoints))
 
 
-def test_the_corrected_stretch_is_followed_and_the_rest_stays() -> None:
-    policy = _Rewarded()
+@pytest.mark.parametrize("policy", [_Rewarded(), _Twisted()], ids=["of Table 1", "continuous"])
+def test_the_corrected_stretch_is_followed_and_the_rest_stays(policy: Policy) -> None:
     old = played(shelf(), policy, LIMIT)
     was = along(old)
-    middle = np.linspace(0.45, 0.65, 4) * len(was.path)
-    waypoints = was.path[middle.astype(int)] + 0.04 * np.array([[0.0, 0.0, 0.6], [0, 0, 1], [0, 0, 1], [0, 0, 0.6]])
+    waypoints = _lifted(was)
     now = was.through(waypoints)
     found = Followed.of(old, played(shelf(), PolicyAround(policy, now), LIMIT), was, now, waypoints)
     assert found.moved.max() > 0.039
     assert found.missed.max() < 0.003
     assert found.inside.max() < 0.0035
-    assert found.before.max() < 1e-9
+    assert found.before.max() < 1e-6
     assert found.behind.mean() < 0.002
+
+
+def test_the_guards_tube_goes_with_a_correction() -> None:
+    was = along(played(shelf(), _Rewarded(), LIMIT))
+    now = was.through(was.path[[len(was.path) // 2]] + np.array([[0.0, 0.0, 0.08]]))
+    corrected = PolicyAround(_Twisted(now), now)
+    made, trust = played(shelf(), corrected, LIMIT), taught().trust
+    own, moved = (Guard(shelf(), load_config().guard, each) for each in (trust, tube_of(corrected, trust)))
+    refused = own.review(made.poses, made.joints)
+    assert refused is not None
+    assert refused.cause == TUBE
+    assert moved.review(made.poses, made.joints) is None
 
 
 def test_what_the_arm_cannot_follow_is_told() -> None:

@@ -24,6 +24,7 @@ from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, n
 from koopdqn.files import write_json
 from koopdqn.plots import style
 from koopdqn.pose import POSITION, Array
+from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.schema import TrainReport
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out
@@ -96,6 +97,7 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
     keys = _flat({key: known[key] for key in _SHAPING if key in known})
     trained = read_trained(own, place)
+    keys["corrected"] = "yes" if isinstance(trained.policy, PolicyAround) else "no"
     keys["demonstrations (SHA-256)"] = trained.demonstrations.digest()[:12]
     return _Run(label, place, own, trained, keys)
 
