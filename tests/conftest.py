@@ -38,12 +38,24 @@ with suppress(ImportError):
 # Hydra closes every log handler when it sets up its own; absl's (of dm_control) would close pytest's captured stream.
 absl_logging.get_absl_handler().python_handler.setStream(sys.__stderr__)
 
+# A process for every file costs more than all else in these, the more so where coverage is counted.
+_READ_HERE = ("test_recording_arrays", "test_recording_cutting", "test_recording_ros", "test_recording_text")
+
 settings.register_profile("koopdqn", derandomize=True, deadline=None)
 settings.load_profile("koopdqn")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: learns a whole task; run by `make learn` alone")
+
+
+@pytest.fixture(autouse=True)
+def read_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read recordings in this process where tests ask what is read; test_recording_bombs.py asks about the other one."""
+    if request.module.__name__ in _READ_HERE:
+        from koopdqn.demonstrations.recordings import load
+
+        monkeypatch.setattr(load, "confined", lambda read, _seconds: read())
 
 
 @pytest.fixture(scope="session")
