@@ -51,7 +51,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(autouse=True)
 def read_here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read recordings in this process where tests ask what is read; test_recording_bombs.py asks about the other one."""
+    """Read recordings in this process where tests ask what is read; test_recording_bombs.py asks of the other one."""
     if request.module.__name__ in _READ_HERE:
         from koopdqn.demonstrations.recordings import load
 
