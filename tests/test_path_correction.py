@@ -55,7 +55,8 @@ class _Twisted(Policy):
 def _lifted(was: Bend) -> Array:
     """Return four waypoints up to 40 mm above the middle of a path."""
     middle = np.linspace(0.45, 0.65, 4) * len(was.path)
-    return np.asarray(was.path[middle.astype(int)] + 0.04 * np.array([[0.0, 0.0, 0.6], [0, 0, 1], [0, 0, 1], [0, 0, 0.6]]))
+    lifts = np.array([[0.0, 0.0, 0.6], [0, 0, 1], [0, 0, 1], [0, 0, 0.6]])
+    return np.asarray(was.path[middle.astype(int)] + 0.04 * lifts)
 
 
 def _apart(points: Array, line: Array) -> Array:
