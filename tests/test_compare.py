@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from small_run import SMALL
 
@@ -14,7 +15,9 @@ from koopdqn.app import cli
 from koopdqn.app.commands import compare
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import BadInputError
+from koopdqn.intent.bend import Bend
 from koopdqn.plots import style
+from koopdqn.rl.policy import write_corrected
 from koopdqn.view.schema import CompareFile
 
 STOPPED = "train.max_steps=1500"
@@ -60,6 +63,16 @@ def test_runs_stand_in_one_table_and_their_paths_on_one_page(
     assert [(motion["start"], motion["run"][0]) for motion in learned] == [(0, "A"), (0, "B"), (1, "A"), (1, "B")]
     assert {motion["run"][0]: motion["colour"] for motion in learned} == {"A": style.BLUE, "B": style.GREEN}
     assert len(baked["tracks"]) == 3
+
+
+def test_a_corrected_run_differs_in_that(
+    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(runs[0], tmp_path / "run")
+    line = np.linspace([0.45, -0.2, 0.45], [0.38, -0.12, 0.47], 30)
+    write_corrected(tmp_path / "run" / "policy.safetensors", runs[0] / "policy.safetensors", Bend.none(line))
+    content = compared((runs[0], tmp_path / "run"), tmp_path / "out", capsys)
+    assert content["differences"] == [{"key": "corrected", "values": ["no", "yes"]}]
 
 
 def test_a_folders_name_is_shown_and_not_obeyed(

@@ -49,14 +49,15 @@ class _Twisted(Policy):
 
     def values(self, poses: Array, starts: Array) -> np.ndarray:
         model, task = taught().model, shelf().task
-        return twists_between(poses, model.to_step(poses, model.intended(poses, starts), task.step_m), task)
+        wished = model.to_step(poses, model.intended(poses, starts), task.step_m)
+        return twists_between(poses, wished, task)
 
 
 def _lifted(was: Bend) -> Array:
     """Return four waypoints up to 40 mm above the middle of a path."""
     middle = np.linspace(0.45, 0.65, 4) * len(was.path)
-    lifts = np.array([[0.0, 0.0, 0.6], [0, 0, 1], [0, 0, 1], [0, 0, 0.6]])
-    return np.asarray(was.path[middle.astype(int)] + 0.04 * lifts)
+    up = np.array([0.6, 1.0, 1.0, 0.6])[:, None] * np.array([0.0, 0.0, 0.04])
+    return np.asarray(was.path[middle.astype(int)] + up)
 
 
 def _apart(points: Array, line: Array) -> Array:
