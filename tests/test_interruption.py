@@ -63,7 +63,7 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
     ("when", "number", "not_yet"),
     [
         (".hydra/overrides.yaml", signal.SIGTERM, "intent.npz"),
-        ("fit.json", signal.SIGKILL, "intent.npz"),
+        pytest.param("fit.json", signal.SIGKILL, "intent.npz", marks=pytest.mark.slow),
         ("checkpoints/latest.safetensors", signal.SIGKILL, "policy.safetensors"),
         ("checkpoints/latest.safetensors", signal.SIGHUP, "policy.safetensors"),
         ("train.json", signal.SIGINT, "train.png"),
