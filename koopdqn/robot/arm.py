@@ -75,7 +75,10 @@ class Arm(Protocol):
 
     @property
     def task_scale(self) -> float:
-        """Size of this arm beside a UR5, for which tasks are made; they scale by it (:meth:`Task.scaled`)."""
+        """Size of this arm beside a UR5, for which tasks are made; they scale by it.
+
+        :meth:`koopdqn.tasks.task.Task.scaled` does so.
+        """
 
     @property
     def home(self) -> Sequence[float]:
