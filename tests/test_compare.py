@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from small_run import SMALL
 
+from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.app.commands import compare
 from koopdqn.app.hydra.overrides import prepare
@@ -79,6 +80,8 @@ def test_a_folders_name_is_shown_and_not_obeyed(
     runs: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "300")
+    console.out.cache_clear()
+    console.err.cache_clear()
     named = [f"run={run}" for run in runs]
     assert cli.main(["compare", *named, "view.starts=1", "eval.episodes=2", f"out={tmp_path}/out"]) == 0
     streams = capsys.readouterr()

@@ -16,7 +16,6 @@ CASES = [
     ("own_environment.py", ["2000", "demo.count=3"], "success_rate"),
     ("reward_in_another_loop.py", ["demo.count=3"], "actions right"),
     ("stable_baselines.py", ["DQN", "2000", "demo.count=3"], "DQN after 2048 steps"),
-    pytest.param(),
     ("sweep.py", ["SWEEP", "seed=0", "agent.gamma=0", *SHORT], "0: seed 0, learned"),
 ]
 

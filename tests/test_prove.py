@@ -28,6 +28,12 @@ def _die() -> tuple[str, str]:
     os._exit(9)
 
 
+def _grow() -> tuple[str, str]:
+    # More than this process ever held, which may be much more than it holds now.
+    held = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+    return "done", str(len(b"x" * (held + (1 << 28))))
+
+
 def _fail() -> tuple[str, str]:
     raise KeyError("nowhere")
 
@@ -37,7 +43,7 @@ ENDS: list[tuple[Callable[[], tuple[str, str]], str]] = [
     (_fail, "wrong"),
     (_spin, "hang"),
     (_die, "crash"),
-    (lambda: ("done", str(len(b"x" * (1 << 29)))), "memory"),
+    (_grow, "memory"),
     (lambda: ("done", ""), "done"),
 ]
 

@@ -196,7 +196,8 @@ def test_whatever_a_record_holds_no_option_and_no_foreign_key_comes_out(
 def test_the_keys_that_a_record_may_hold_are_those_of_the_config() -> None:
     config = plain(composed([]))
     assert set(config) == {*(group for group in GROUPS if group != "preset"), *SECTIONS, *VALUES}
-    assert set(Inputs.model_fields) == set(VALUES)
+    # The kind of actions is a group's option and a plain value at once.
+    assert set(Inputs.model_fields) == {*VALUES, "actions"}
     assert Configuration.load(composed([]))
 
 

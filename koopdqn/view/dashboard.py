@@ -1,5 +1,6 @@
 """The dashboard: how a training goes, on a whole screen, redrawn in place."""
 
+import os
 from collections import deque
 from contextlib import ExitStack
 from time import monotonic
@@ -42,7 +43,12 @@ _PLANES: Final = {(0, 1): "from above: x right, y up", (0, 2): "x right, z up", 
 def fits(console: Console) -> bool:
     """Return whether a console is a terminal with room for the dashboard."""
     able = console.is_terminal and console.is_interactive and not console.is_dumb_terminal
-    return able and console.width >= LEAST[0] and console.height >= LEAST[1]
+    try:
+        # A console of ours is never told to be narrower than its tables.
+        width, height = os.get_terminal_size(console.file.fileno())
+    except OSError:
+        width, height = console.size
+    return able and width >= LEAST[0] and height >= LEAST[1]
 
 
 class Dashboard:
