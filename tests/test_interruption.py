@@ -66,7 +66,7 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
         pytest.param("fit.json", signal.SIGKILL, "intent.npz", marks=pytest.mark.slow),
         ("checkpoints/latest.safetensors", signal.SIGKILL, "policy.safetensors"),
         ("checkpoints/latest.safetensors", signal.SIGHUP, "policy.safetensors"),
-        ("train.json", signal.SIGINT, "train.png"),
+        pytest.param("train.json", signal.SIGINT, "train.png", marks=pytest.mark.slow),
     ],
 )
 def test_a_stopped_run_goes_on_to_the_same_bytes(

@@ -51,7 +51,8 @@ def answer(session: Session, key: str) -> bool:
     return True
 
 
-@pytest.mark.parametrize("settings", [ASKING, pytest.param(WHOLE, marks=pytest.mark.slow)], ids=["short", "whole"])
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [ASKING, WHOLE], ids=["short", "whole"])
 def test_a_training_is_taught_through_the_keys(tmp_path: Path, settings: tuple[str, ...]) -> None:
     folder = tmp_path / "run"
     with begin(folder, settings) as session:
