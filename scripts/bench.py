@@ -39,7 +39,7 @@ _PACKAGES = (
 def measured(folder: Path, pykoopman: Path | None, *, long: bool) -> Iterator[Row]:
     """Yield all rows as they are measured; what they write on the way goes below a folder."""
     yield from startup.rows(folder)
-    prepared = learning.prepare("shelf")
+    prepared = learning.prepare("task=shelf")
     yield from kinematics.rows(prepared.workcell)
     yield learning.update_row(prepared)
     yield environments.row()

@@ -17,17 +17,14 @@ from pathlib import Path
 from typing import Final
 
 import PIL.Image
+from benchmarks.learning import prepare
 
 from koopdqn import console
 from koopdqn.app import cli
-from koopdqn.app.api import fit, generate, intent_reward, load_config, open_workcell
 from koopdqn.console import LiteralConsole
 from koopdqn.errors import WorkFailedError
 from koopdqn.files import write_text
-from koopdqn.intent.fit import agent_steps
-from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.plots.workflow import plot_workflow
-from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.history import Check
 from koopdqn.view.dashboard import Dashboard
 
@@ -81,21 +78,10 @@ class Runs:
 
 def dashboard(runs: Runs) -> None:
     """Draw the dashboard at two sizes, as it stands after the third check of a training."""
-    config = load_config("task=shelf", "seed=0")
-    workcell, shown = open_workcell(config), generate(config)
-    fitted = fit(config, shown)
-    trainer = Trainer(
-        workcell,
-        intent_reward(config, fitted),
-        fitted.model.start_frame.each(agent_steps(shown, config.task)),
-        ScriptedOracle(config.task),
-        config.agent,
-        config.train,
-        config.inputs.seed,
-        config.feedback,
-    )
+    prepared = prepare("task=shelf", "seed=0")
+    trainer = prepared.trainer()
     pages = [LiteralConsole(record=True, width=w, height=h, file=io.StringIO(), force_terminal=True) for w, h in SIZES]
-    boards = [Dashboard(trainer, [item.poses for item in shown.items], None, page) for page in pages]
+    boards = [Dashboard(trainer, prepared.shown, None, page) for page in pages]
 
     def on_check(check: Check) -> None:
         if len(trainer.history.checks) == 3:

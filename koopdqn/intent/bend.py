@@ -14,12 +14,10 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
-from koopdqn.intent.koopman import KoopmanModel
-from koopdqn.intent.model import IntentModel
+from koopdqn.intent.model import IntentModel, ModelOver
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.paths import SmoothPath, arc_lengths
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import StartFrame
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -149,7 +147,7 @@ def _shown(position: Array) -> list[float]:
 
 
 @dataclass(frozen=True)
-class BentIntent(IntentModel):
+class BentIntent(ModelOver):
     """An intent model along a moved path.
 
     Attributes:
@@ -157,18 +155,7 @@ class BentIntent(IntentModel):
         bend: the moved path.
     """
 
-    base: IntentModel
     bend: Bend
-
-    @property
-    def goal(self) -> Array:  # type: ignore[override]  # a field of other models, the base's here
-        """The goal pose (7,)."""
-        return self.base.goal
-
-    @property
-    def start_frame(self) -> StartFrame:  # type: ignore[override]
-        """The base's frame."""
-        return self.base.start_frame
 
     @property
     def unbent(self) -> IntentModel:
@@ -183,15 +170,6 @@ class BentIntent(IntentModel):
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
         straight = self.bend.straightened(poses)
         return self.bend.bent_next(poses, straight, self.base.predict(straight))
-
-    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
-        """Return predictions (N, 7) rescaled to one step as the base does."""
-        return self.base.to_step(poses, predicted, step)
-
-    @property
-    def matrices(self) -> dict[str, KoopmanModel]:
-        """The Koopman models of the base."""
-        return self.base.matrices
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the base's arrays and the bend's."""

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.intent.koopman import KoopmanModel
-from koopdqn.intent.model import IntentModel, IntentSettings
+from koopdqn.intent.model import IntentModel, IntentSettings, ModelOver
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import StartFrame
 
 # A pair corrects no orientation farther than this from its own [rad].
 _SUPPORT_RAD = 0.35
@@ -20,7 +18,7 @@ _SAME_M = 1e-4
 
 
 @dataclass(frozen=True)
-class CorrectedIntent(IntentModel):
+class CorrectedIntent(ModelOver):
     """An intent model corrected by pairs of poses from a person's answers.
 
     Within half a pair's reach the prediction is the pair's own motion; several pairs are interpolated by inverse
@@ -33,20 +31,9 @@ class CorrectedIntent(IntentModel):
         reaches: (M,) [m] within which each pair corrects the prediction.
     """
 
-    base: IntentModel
     poses: Array
     following: Array
     reaches: Array
-
-    @property
-    def goal(self) -> Array:  # type: ignore[override]  # a field of other models, the base's here
-        """The goal pose (7,)."""
-        return self.base.goal
-
-    @property
-    def start_frame(self) -> StartFrame:  # type: ignore[override]
-        """The base's frame."""
-        return self.base.start_frame
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
@@ -56,6 +43,11 @@ class CorrectedIntent(IntentModel):
     def fitted(self) -> IntentModel:
         """The base."""
         return self.base
+
+    @property
+    def unbent(self) -> IntentModel:
+        """The model itself, or the base's where the base is bent: answers were given about the bent way."""
+        return self if self.base.unbent is self.base else self.base.unbent
 
     def correct(self, poses: Array, predicted: Array) -> Array:
         """Return the base's predictions (N, 7) at poses (N, 7), corrected by the pairs."""
@@ -74,15 +66,6 @@ class CorrectedIntent(IntentModel):
         predicted = predicted.copy()
         predicted[rows] = pose.make(poses[rows, pose.POSITION] + motion[:, :3], turned)
         return predicted
-
-    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
-        """Return predictions (N, 7) rescaled to one step as the base does."""
-        return self.base.to_step(poses, predicted, step)
-
-    @property
-    def matrices(self) -> dict[str, KoopmanModel]:
-        """The Koopman models of the base."""
-        return self.base.matrices
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the base's arrays and the pairs."""

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -136,3 +137,33 @@ class IntentModel(ABC):
                 poses += [poses[-1]] * (steps - done - 1)
                 break
         return np.array(poses)
+
+
+@dataclass(frozen=True)
+class ModelOver(IntentModel):
+    """An intent model that changes what another one predicts.
+
+    Attributes:
+        base: the other one.
+    """
+
+    base: IntentModel
+
+    @property
+    def goal(self) -> Array:  # type: ignore[override]  # a field of other models, the base's here
+        """The goal pose (7,)."""
+        return self.base.goal
+
+    @property
+    def start_frame(self) -> StartFrame:  # type: ignore[override]
+        """The base's frame."""
+        return self.base.start_frame
+
+    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
+        """Return predictions (N, 7) rescaled to one step as the base does."""
+        return self.base.to_step(poses, predicted, step)
+
+    @property
+    def matrices(self) -> dict[str, KoopmanModel]:
+        """The Koopman models of the base."""
+        return self.base.matrices

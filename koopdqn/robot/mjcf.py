@@ -15,7 +15,7 @@ from koopdqn.robot.analytic import ClosedForm
 from koopdqn.robot.arm import InverseResult
 from koopdqn.robot.chain import Chain
 from koopdqn.robot.model import Model, read_model
-from koopdqn.robot.ur import unwrapped_batch
+from koopdqn.robot.unwrapping import unwrapped_batch
 from koopdqn.settings import Floats, Name, Names, PathText, Positive, Settings
 
 _SAME_RAD: Final = 1e-3

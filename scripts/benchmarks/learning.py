@@ -61,9 +61,9 @@ class Prepared:
         return float(report["path_deviation_mm"]["mean"]), float(report["success_rate"])
 
 
-def prepare(task: str) -> Prepared:
-    """Return what learning a task begins with, by the default config and seed 0."""
-    config = Configuration.load(composed([f"task={task}", "command=train", "out=unused"]))
+def prepare(*overrides: str) -> Prepared:
+    """Return what a learning of generated demonstrations begins with, by the config with overrides."""
+    config = Configuration.load(composed([*overrides, "command=train", "out=unused"]))
     workcell = open_workcell(config.task, config.robot)
     demonstrations = generate(config.task, workcell.reachability, config.demo, config.inputs.seed).demonstrations
     fitted = fit(demonstrations, config.task, config.intent, config.trust, config.reward)
@@ -125,7 +125,7 @@ def learning_rows(task: str, folder: Path, *, long: bool) -> list[Row]:
             Row(names[1], None, "mm", peer, NOT_MEASURED, None, 1.0),
             Row(names[2], None, "s", "learning itself", NOT_MEASURED, whole),
         ]
-    prepared = prepare(task)
+    prepared = prepare(f"task={task}")
     began = time.perf_counter()
     trainer = prepared.trainer()
     trainer.run()

@@ -1,10 +1,10 @@
 """What the dashboard of a training costs: CPU time of the same run with it and without, in pairs.
 
-``python scripts/benchmarks/watching.py --pairs 4 task=shelf seed=0 demos=FILE`` prints a row a pair. Both runs of a
+``python scripts/watching.py --pairs 4 task=shelf seed=0 demos=FILE`` prints a row a pair. Both runs of a
 pair have a terminal of the same size; without the dashboard its kind is ``dumb``. They alternate, so that what else the
 machine does meets both alike. CPU time is the process's own, user and system, from start to end. On a busy machine it
-differs by a few per cent from run to run; the first row therefore tells, of one training in this process, which share
-of its CPU time was spent in the dashboard.
+differs by a few per cent from run to run. The first row therefore tells, of one training in this process, on
+demonstrations that it makes, which share of its CPU time was spent in the dashboard.
 """
 
 import argparse
@@ -16,13 +16,10 @@ from pathlib import Path
 from statistics import fmean, stdev
 
 import pexpect
+from benchmarks.learning import prepare
 
-from koopdqn.app.api import fit, generate, intent_reward, load_config, open_workcell
 from koopdqn.console import LiteralConsole
 from koopdqn.errors import WorkFailedError
-from koopdqn.intent.fit import agent_steps
-from koopdqn.oracles.scripted import ScriptedOracle
-from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.view.dashboard import Dashboard
 
 SIZE = (24, 80)
@@ -59,23 +56,12 @@ def cpu_seconds(term: str, overrides: list[str], out: Path) -> float:
 
 def share(overrides: list[str]) -> float:
     """Return the share of a training's CPU time that the dashboard takes, drawn into nothing."""
-    config = load_config(*overrides)
-    workcell, shown = open_workcell(config), generate(config)
-    fitted = fit(config, shown)
-    trainer = Trainer(
-        workcell,
-        intent_reward(config, fitted),
-        fitted.model.start_frame.each(agent_steps(shown, config.task)),
-        ScriptedOracle(config.task),
-        config.agent,
-        config.train,
-        config.inputs.seed,
-        config.feedback,
-    )
+    prepared = prepare(*overrides)
+    trainer = prepared.trainer()
     taken = 0.0
     with Path(os.devnull).open("w") as nowhere:
         console = LiteralConsole(file=nowhere, force_terminal=True, height=SIZE[0], width=SIZE[1])
-        with Dashboard(trainer, [item.poses for item in shown.items], None, console) as board:
+        with Dashboard(trainer, prepared.shown, None, console) as board:
 
             def on_round() -> None:
                 nonlocal taken
