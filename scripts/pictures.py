@@ -28,7 +28,8 @@ from koopdqn.plots.workflow import plot_workflow
 from koopdqn.rl.history import Check
 from koopdqn.view.dashboard import Dashboard
 
-IMAGES: Final = Path(__file__).resolve().parents[1] / "docs" / "images"
+ROOT: Final = Path(__file__).resolve().parents[1]
+IMAGES: Final = ROOT / "docs" / "images"
 SIZES: Final = ((80, 24), (140, 40))
 """Of the dashboard's terminals, columns and rows."""
 MOST_BYTES: Final = 2_000_000
@@ -117,6 +118,18 @@ def demos(runs: Runs) -> None:
     _copy(runs.of("inspect", given) / "inspect.png")
 
 
+def program(runs: Runs) -> None:
+    """Draw the robot program of the learned path."""
+    _copy(runs.of("export", f"run={runs.learned()}") / "program.png")
+
+
+def obstacles(runs: Runs) -> None:
+    """Draw the paths of a policy that never saw the obstacles, led around them."""
+    given = f"obstacles={ROOT / 'examples' / 'obstacles.yaml'}"
+    picture = runs.of("eval", f"run={runs.learned()}", given, "eval.dynamics=false") / "eval.png"
+    _copy(picture, "obstacles.png")
+
+
 def workflow(runs: Runs) -> None:
     """Draw the algorithm as boxes and arrows."""
     path = runs.folder / "workflow.png"
@@ -136,9 +149,9 @@ def pages(runs: Runs) -> None:
     _screenshot(runs.of("compare", *both, "view.starts=3") / "compare.html", "compare.png")
 
 
-def _copy(picture: Path) -> None:
+def _copy(picture: Path, name: str = "") -> None:
     with PIL.Image.open(picture) as shown:
-        shown.convert("RGB").save(IMAGES / picture.name, optimize=True)
+        shown.convert("RGB").save(IMAGES / (name or picture.name), optimize=True)
 
 
 def _screenshot(page: Path, name: str) -> None:
@@ -156,7 +169,7 @@ def _screenshot(page: Path, name: str) -> None:
 
 
 PICTURES: Final[dict[str, Callable[[Runs], None]]] = {
-    each.__name__: each for each in (dashboard, film, explain, demos, workflow, sweep, pages)
+    each.__name__: each for each in (dashboard, film, explain, demos, program, obstacles, workflow, sweep, pages)
 }
 
 

@@ -289,6 +289,7 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     report = ProgramFile.model_validate_json((out / "program.json").read_text())
     assert report.model_dump(mode="json") == result.result
     assert report.files == {"urscript": "program.script", "rtde": "rtde.csv", "robomimic": "program.hdf5"}
+    assert (out / "program.png").stat().st_size > 10_000
     assert all((out / file).is_file() for file in report.files.values())
     assert "movep(" in (out / "program.script").read_text()
     (item,) = read_hdf5(out / "program.hdf5").items

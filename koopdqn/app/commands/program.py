@@ -35,6 +35,7 @@ from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.workcell import Workcell
 
 REPORT_NAME = "program.json"
+PICTURE = "program.png"
 _OF_THE_FAMILY = ("urscript", "rtde")
 
 
@@ -56,6 +57,12 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         files[name] = file
     report = _report(program, files, run / POLICY, settings, _near(workcell, program, config)).model_dump(mode="json")
     write_json(folder / REPORT_NAME, report)
+    from koopdqn.plots.program import plot_program
+
+    title = (
+        f"{program.task}: {report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm on {program.arm.name}"
+    )
+    plot_program(folder / PICTURE, title, program, workcell.scene)
     used, dynamics = report["limits_used"], report["dynamics"]
     lines = [
         f"{report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm, {report['samples']} samples,"
@@ -66,6 +73,7 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         f" {dynamics['peak_joint_torque_ratio']:.0%} of the torque",
         *([near_person(report["separation"])] if report["separation"] else []),
         *(f"{name:<14}  {console.shown_path(folder / file)}" for name, file in files.items()),
+        f"picture         {console.shown_path(folder / PICTURE)}",
         f"report          {console.shown_path(folder / REPORT_NAME)}",
     ]
     return CommandResult(report, lines)
