@@ -139,6 +139,8 @@ def workflow(runs: Runs) -> None:
 
 def sweep(runs: Runs) -> None:
     """Draw a sweep's spread over seeds."""
+    for trained in sorted(runs.swept().glob("*/policy.safetensors")):
+        runs.of("eval", f"run={trained.parent}", "eval.dynamics=false", "eval.baselines=false")
     _copy(runs.of("report", f"sweep={runs.swept()}") / "report" / "sweep.png")
 
 

@@ -65,6 +65,18 @@ def test_a_corner_is_no_outlier() -> None:
     assert not outlying(item).any()
 
 
+def test_a_motion_that_begins_and_ends_slowly_is_not_hurried_where_rest_is_cut() -> None:
+    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 200))
+    position = np.stack([np.full(200, 0.45), 0.3 * share, np.full(200, 0.35)], axis=1)
+    slow = Demonstration(0.02 * np.arange(200.0), pose.make(position, [1.0, 0.0, 0.0, 0.0]))
+    cut = clean(slow, steps(idle_ends=True))
+    speed = np.linalg.norm(np.diff(cut.item.poses[:, :3], axis=0), axis=1) / np.diff(cut.item.times)
+    assert min(cut.before, cut.after) > 0.0
+    assert speed[0] <= 1.01 * speed[1]
+    assert speed[-1] <= 1.01 * speed[-2]
+    assert cut.before + cut.after + np.ptp(cut.item.times) == pytest.approx(np.ptp(slow.times))
+
+
 def test_even_steps_keep_the_path() -> None:
     item = recorded(arc())
     kept = np.sort(np.random.default_rng(0).permutation(len(item) - 2)[:120]) + 1

@@ -65,12 +65,34 @@ def clean(item: Demonstration, steps: InspectSettings) -> Cleaned:
         item, outliers = _rows(item, kept), int((~kept).sum())
     if steps.idle_ends:
         trimmed = trim_idle(item)
-        item, before, after = trimmed.item, trimmed.before, trimmed.after
+        item, before, after = _unhurried(trimmed.item, trimmed.before, trimmed.after)
     if steps.smoothing:
         item = smooth(item)
     if steps.resampling:
         item = evened(item)
     return Cleaned(item, repeated, outliers, before, after)
+
+
+def _unhurried(item: Demonstration, before: float, after: float) -> tuple[Demonstration, float, float]:
+    """Return a trimmed demonstration and its cut times [s], of which each end gets back what it needs.
+
+    The pose at rest may be some millimetres from the sample beside it: the way there is made no faster than the next.
+    """
+    if len(item) < 3:
+        return item, before, after
+    times, poses = item.times.copy(), item.poses
+    steps = np.stack([pose.position_distance(poses[1:], poses[:-1]), pose.rotation_distance(poses[1:], poses[:-1])])
+    lasts = np.diff(times)
+
+    def needed(end: int, beside: int, most: float) -> float:
+        moving = steps[:, beside] > 0.0
+        pace = np.divide(steps[:, end], steps[:, beside], where=moving, out=np.zeros(2))
+        return float(np.clip(pace.max() * lasts[beside] - lasts[end], 0.0, most))
+
+    given_before, given_after = needed(0, 1, before), needed(-1, -2, after)
+    times[0] -= given_before
+    times[-1] += given_after
+    return Demonstration(times, poses, item.joints), before - given_before, after - given_after
 
 
 def repeats(item: Demonstration) -> np.ndarray:

@@ -82,7 +82,8 @@ def _shares(axes: Axes, each: Sequence[InspectedDemonstration], colours: Sequenc
     axes.set_xticks(places)
     for tick, colour in zip(axes.get_xticklabels(), colours, strict=True):
         tick.set_color(colour)
-    axes.legend(loc="best")
+    axes.set_ylim(0.0, 1.35 * max(100.0, *speeds))
+    axes.legend(loc="upper left", ncols=2)
 
 
 def _learning(axes: Axes, spread_mm: Sequence[float], left_out_mm: Sequence[float]) -> None:

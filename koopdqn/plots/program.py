@@ -41,10 +41,11 @@ def plot_program(path: Path, title: str, program: Program, scene: Scene) -> None
         console.warn(f"{path.name} shows no arm: {error}")
         image = None
     with picture(path, title, WIDTH, HEIGHT) as figure:
-        left, right = figure.subfigures(1, 2, width_ratios=(1, 1.2)) if image is not None else (None, figure)
-        if left is not None and image is not None:
-            show_image(left.subplots(), image, "The arm at the path's end; its start as a ghost")
-        limits, tracking = right.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
+        grid = figure.add_gridspec(2, 2, height_ratios=(1.7, 1), width_ratios=(1, 1.2))
+        limits = figure.add_subplot(grid[0, int(image is not None) :])
+        tracking = figure.add_subplot(grid[1, int(image is not None) :], sharex=limits)
+        if image is not None:
+            show_image(figure.add_subplot(grid[:, 0]), image, "The arm at the path's end; its start as a ghost")
         _limits(limits, program)
         _tracking(tracking, program)
 
