@@ -50,6 +50,19 @@ def test_what_no_answer_is(text: str) -> None:
         repair.parse_answer(text, 0)
 
 
+def test_m_is_the_models_suggestion_where_it_is_an_action(tmp_path: Path) -> None:
+    path = journal(tmp_path, "anna", [False, False])
+    # As a run with continuous actions writes it: the first question is about the suggestion.
+    path.write_text(path.read_text().replace('"action": 1', '"action": 10'))
+    change(path, 0, "M")
+    line = read_records(path).items[0].line
+    assert (line.right, line.better) == (False, 10)
+    assert repair.parse_answer("m", 10, continuous=True) == (True, 10)
+    table_1 = journal(tmp_path, "bert", [True])
+    with pytest.raises(BadInputError, match="a better action from 0 to 9, found 'm'"):
+        change(table_1, 0, "m")
+
+
 def test_a_run_that_learned_from_an_answer_refuses_its_edit_and_a_new_one_takes_it(tmp_path: Path) -> None:
     path = journal(tmp_path, "anna", [True, True, True])
     change(path, 1, "wrong", learned=2)

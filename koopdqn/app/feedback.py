@@ -39,7 +39,10 @@ def _edit(
     number: Annotated[int, typer.Argument(help="Number of the answer, as show prints it.", show_default=False)],
     answer: Annotated[
         str,
-        typer.Argument(help="right, wrong, skip, or 0 to 9: the better action.", show_default=False),
+        typer.Argument(
+            help="right, wrong, skip, or the better action: 0 to 9, with continuous actions m: the model's suggestion.",
+            show_default=False,
+        ),
     ],
     teacher: Annotated[str | None, typer.Option("--teacher", metavar="NAME", help="Who changes it.")] = None,
     drop_later: Annotated[bool, typer.Option("--drop-later", help="Later answers no longer count.")] = False,

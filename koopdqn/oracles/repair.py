@@ -25,6 +25,7 @@ from koopdqn.oracles.journal import (
 )
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.tasks.actions import SUGGESTED
 
 
 class TeacherSummary(ReportModel):
@@ -62,12 +63,26 @@ class FeedbackSummary(ReportModel):
 _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wrong": False, "s": None, "skip": None}
 
 
-def parse_answer(text: str, action: int) -> tuple[bool | None, int | None]:
-    """Return what a text answers to a question about an action: right, and the better action."""
+def parse_answer(text: str, action: int, *, continuous: bool = False) -> tuple[bool | None, int | None]:
+    """Return what a text answers to a question about an action: right, and the better action.
+
+    Args:
+        text: right, wrong, skip, an action of Table 1, or m: the intent model's suggestion.
+        action: what was asked about.
+        continuous: whether the model's suggestion is one of the actions.
+
+    Raises:
+        BadInputError: the text is none of these.
+    """
+    if continuous and text.lower() == "m":
+        return action == SUGGESTED, SUGGESTED
     if text.isascii() and len(text) == 1 and text.isdecimal():
         return int(text) == action, int(text)
     if text.lower() not in _ANSWERS:
-        raise BadInputError(f"answer: must be right, wrong, skip or a better action from 0 to 9, found {text!r}")
+        suggestion = ", or m (the model's suggestion)" if continuous else ""
+        raise BadInputError(
+            f"answer: must be right, wrong, skip or a better action from 0 to 9{suggestion}, found {text!r}"
+        )
     return _ANSWERS[text.lower()], None
 
 
@@ -92,7 +107,9 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     if records.items[number].withdrawn and not drop_later:
         raise BadInputError(f"number: must be that of an answer that stands, found {number}, which was withdrawn")
     line = records.items[number].line
-    right, better = parse_answer(text, line.action)
+    # With Table 1's ten actions there is no suggestion to ask about; with continuous ones it is asked about first.
+    continuous = any(SUGGESTED in (each.line.action, each.line.better) for each in records.items)
+    right, better = parse_answer(text, line.action, continuous=continuous)
     source, late = teacher or line.source, number < learned
     with closing(JournalFile(path)) as file:
         file.append(EditLine(kind="edit", number=number, right=right, better=better, source=source, learned=late))
