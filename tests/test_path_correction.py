@@ -22,6 +22,7 @@ from koopdqn.rl.policy import Policy, read_policy, write_corrected, write_policy
 from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
 from koopdqn.settings import validate
+from koopdqn.tasks.actions import reached_poses
 from koopdqn.tasks.start_frame import STILL
 from koopdqn.tasks.twists import twists_between
 
@@ -39,6 +40,16 @@ class _Rewarded(Policy):
     def values(self, poses: Array, starts: Array) -> np.ndarray:
         steps = np.zeros(len(poses), dtype=np.int64)
         return reward_of(taught()).evaluate_actions(poses, steps, starts).reward
+
+
+class _Lost(Policy):
+    """Values actions at random."""
+
+    def __init__(self) -> None:
+        super().__init__(cast(Any, None), shelf().task)
+
+    def values(self, poses: Array, starts: Array) -> np.ndarray:
+        return np.random.default_rng(0).normal(size=(len(poses), 10))
 
 
 class _Twisted(Policy):
@@ -171,3 +182,14 @@ def test_a_pose_beside_an_unmoved_place_gets_the_policys_own_action() -> None:
     poses = np.tile(shelf().task.nominal_start, (5, 1))
     poses[:, pose.POSITION] += np.random.default_rng(0).normal(scale=0.002, size=(5, 3))
     assert np.array_equal(PolicyAround(policy, bend)(poses, poses), policy(poses, poses))
+
+
+def test_beside_a_moved_path_every_action_comes_forward_and_none_circles() -> None:
+    rng, was = np.random.default_rng(0), along(played(shelf(), _Rewarded(), LIMIT))
+    bend = was.through(_lifted(was))
+    moved = bend.bent[np.linalg.norm(bend.offsets, axis=1) > 1e-3]
+    poses = np.tile(shelf().task.nominal_start, (200, 1))
+    poses[:, pose.POSITION] = rng.choice(moved, 200) + rng.normal(scale=0.003, size=(200, 3))
+    actions = PolicyAround(_Lost(), bend)(poses, poses)
+    reached = reached_poses(poses, shelf().task)[np.arange(200), actions]
+    assert (bend.come(reached) > bend.come(poses)).all()

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _FARTHEST_M = 0.2
 # The way to a waypoint and from it, in its distance from the path, and at least [m].
 _WAY, _LEAST_WAY_M = 1.5, 0.02
+# Coming nearer to the path counts as so much of coming forward along it.
+_BESIDE = 0.3
 # Directions of travel are those of chords of this length [m].
 _CHORD_M = 0.004
 
@@ -109,6 +111,11 @@ class Bend:
         """Return the offsets (N, 3) [m] of poses (N, 7) from the nearest points of the moved path."""
         return np.asarray(poses[:, pose.POSITION] - self.bent[self._nearest(poses)])
 
+    def come(self, poses: Array) -> Array:
+        """Return how far poses (N, 7) have come along the moved path (N,) [m], less a part of their distance to it."""
+        place = self._nearest(poses)
+        return np.asarray(self._arc[place] - _BESIDE * pose.norm(poses[:, pose.POSITION] - self.bent[place]))
+
     def bent_each(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return straight trajectories (N, 7) as they lie beside the moved path."""
         from scipy.spatial import KDTree
@@ -119,6 +126,10 @@ class Bend:
             beside = pose.rotate(self._turns[place], rows[:, pose.POSITION] - self.path[place])
             found.append(pose.make(self.bent[place] + beside, rows[:, pose.QUATERNION]))
         return found
+
+    @cached_property
+    def _arc(self) -> Array:
+        return arc_lengths(self.bent)
 
     def _nearest(self, poses: Array) -> np.ndarray:
         return np.asarray(self._tree.query(poses[:, pose.POSITION])[1])

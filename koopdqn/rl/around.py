@@ -12,12 +12,15 @@ from koopdqn.intent.trust import TrustDomain
 from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
 from koopdqn.pose import Array
 from koopdqn.rl.policy import Policy
-from koopdqn.tasks.actions import ROTATING, nearest_actions, reached_poses
+from koopdqn.tasks.actions import ROTATING, excess, legal_actions, reached_poses
 from koopdqn.tasks.rollout import Controller
+from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.twists import in_balls, moved_by, twists_between
 
 # A pose moved by less [m] is not moved.
 _UNMOVED_M = 1e-6
+# An action comes forward if it does by this share of a step.
+_FORWARD = 0.1
 # Table 1's actions along the three axes, forth and back.
 _FORTH, _BACK = slice(4, None, 2), slice(5, None, 2)
 
@@ -28,7 +31,8 @@ class PolicyAround:
 
     It is asked at the straightened pose, for a direction between its ten actions: rounding once to the ten and, turned
     as the path is turned, once more would add up. The action nearest to that motion from the moved path is taken, so
-    that what the ten directions stray is made good at once. A twist needs no rounding: it is turned itself.
+    that what the ten directions stray is made good at once; of the ten those alone that come forward, or two that make
+    good what the other strays could follow each other for ever. A twist needs no rounding: it is turned itself.
 
     Attributes:
         policy: that was trained without obstacles.
@@ -56,7 +60,24 @@ class PolicyAround:
         # Where the path is not moved, nor is the policy.
         if self.policy.continuous:
             return np.where(moved[:, None], twists_between(poses, wished, task), own)
-        return np.where(moved, nearest_actions(poses, wished, task), own)
+        return np.where(moved, self._forward(poses, starts, wished), own)
+
+    def _forward(self, poses: Array, starts: Array, wished: Array) -> np.ndarray:
+        """Return the actions (N,) nearest to wished poses (N, 7) of those that come forward from poses (N, 7)."""
+        frame, task = self.policy.frame, self.policy.task
+
+        def come(places: Array, begun: Array) -> Array:
+            # Coming nearer to the goal's orientation is coming forward, too: a step as far as one turn.
+            left = pose.rotation_distance(places, task.goal) / (IN_PLACE * task.rotation_tolerance_rad)
+            return self.bend.come(frame.to_frame(places, begun)) - task.step_m * left
+
+        reached = reached_poses(poses, task)
+        count = reached.shape[1]
+        after = come(reached.reshape(-1, reached.shape[-1]), np.repeat(starts, count, axis=0)).reshape(-1, count)
+        forward = after - come(poses, starts)[:, None] > _FORWARD * task.step_m
+        far = np.where(legal_actions(task), excess(reached, wished[:, None], task), np.inf)
+        among = np.where(forward, far, np.inf)
+        return np.asarray(np.where(np.isfinite(among).any(axis=1, keepdims=True), among, far).argmin(axis=1))
 
     def _between(self, unmoved: Array, values: Array, best: np.ndarray) -> Array:
         """Return the poses (N, 7) that the direction between the ten actions, of values (N, 10), reaches."""
