@@ -89,8 +89,11 @@ class Learned:
 
 
 def is_tool(scene: Scene, geom: int) -> bool:
-    """Return whether a geom is of the tool or of what it holds."""
-    return "/tool" in scene.model.body(scene.model.geom_bodyid[geom]).name
+    """Return whether a geom is of the tool or of what it holds; of an arm without a tool, of its last link."""
+    model, body = scene.model, scene.model.geom_bodyid[geom]
+    if any("/tool" in model.body(each).name for each in model.geom_bodyid):
+        return "/tool" in model.body(body).name
+    return bool(model.body_weldid[body] == max(model.jnt_bodyid))
 
 
 def near_obstacles(scene: Scene, joints: Array) -> tuple[list[int], set[str]]:
