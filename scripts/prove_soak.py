@@ -102,7 +102,8 @@ def _stopped_and_gone_on(
 ) -> tuple[str, str]:
     """Return what comes of a run that is stopped once to thrice; a run stopped before it had begun begins again."""
     shutil.rmtree(run, ignore_errors=True)
-    again = [f"run={run}", *(word for word in words if word.startswith("journal="))]
+    # What lies outside the run is named again: a record alone reads nothing there.
+    again = [f"run={run}", *(word for word in words if word.startswith(("journal=", "demos=")))]
     said = []
     for _ in range(int(rng.integers(1, _MOST_KILLS + 1))):
         record = run / ".hydra" / "overrides.yaml"
