@@ -169,6 +169,15 @@ def test_the_help_is_whole_on_a_small_screen(episode: Episode, folder: Path) -> 
     assert all(line in text for line in HELP)
 
 
+def test_a_waypoint_on_the_path_moves_nothing_and_is_shown(episode: Episode, folder: Path) -> None:
+    showing = begin(episode, folder, MIDDLE)
+    showing.added = [showing.path[len(showing.path) // 2]]
+    assert showing.under_way is not None
+    text = "\n".join(line.plain for line in compose(Shown(showing, "shelf", "runs/new"), 80, 24))
+    assert "1 waypoint" in text
+    assert "moved" not in text
+
+
 def test_an_unknown_key_is_told(episode: Episode, folder: Path) -> None:
     reply = begin(episode, folder).press("z")
     assert not reply.changed

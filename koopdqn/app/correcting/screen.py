@@ -144,8 +144,8 @@ def _right(content: Shown, width: int) -> list[Text]:
         pair("step", f"{showing.step * 1e3:.4g} mm"),
         pair("added", f"{count} waypoint{'' if count == 1 else 's'}"),
     ]
-    if bent is not None:
-        moved = pose.norm(bent - showing.path)
+    moved = np.zeros(1) if bent is None else pose.norm(bent - showing.path)
+    if moved.any():
         reach = showing.arc[moved > 0.0]
         lines.append(pair("moved", f"{1e3 * moved.max():.0f} mm, {reach[0]:.3f} to {reach[-1]:.3f} m"))
     return [*lines, *wrapped(f"into   {content.folder}", width, DIM)]
