@@ -130,7 +130,7 @@ def test_a_command_shown_composes_to_a_valid_config(
         assert arguments == []
         return
     if line in (["compare"], ["correct"]):
-        # Without runs to compare, or waypoints, it is a name and no command to type.
+        # Without runs to compare, or one to correct, it is a name and no command to type.
         return
     if command == "feedback":
         group = get_command(cli.app).commands["feedback"]  # type: ignore[attr-defined]

@@ -85,6 +85,12 @@ def test_a_bend_leads_through_its_waypoints_and_moves_nothing_elsewhere() -> Non
     assert (bend.offsets[:, 1] >= 0.0).all()
 
 
+def test_a_waypoint_little_aside_can_be_anywhere_but_at_the_ends() -> None:
+    for x in np.linspace(0.03, 0.37, 69):
+        bend = Bend.none(LINE).through(np.array([[x, 0.005, 0.0]]))
+        assert bend.offsets[:, 1].max() == pytest.approx(0.005)
+
+
 def test_a_second_correction_keeps_the_first() -> None:
     first = Bend.none(LINE).through(np.array([[0.1, 0.02, 0.0]]))
     both = first.through(np.array([[0.3, 0.0, 0.02]]))

@@ -14,7 +14,7 @@ if sys.platform == "win32":
     pytest.skip("needs a POSIX terminal", allow_module_level=True)
 import termios
 
-from koopdqn.oracles.terminal.device import _single
+from koopdqn.oracles.terminal.device import Device, _single
 
 RESTORED = re.compile(rb"\x1b\[\?25h\x1b\[\?1049l")
 PROGRAM = """
@@ -124,3 +124,19 @@ def test_stopping_gives_the_terminal_back_and_going_on_takes_it_again() -> None:
 def test_keys_come_one_by_one_without_what_arrows_and_function_keys_send() -> None:
     assert list(_single("yN\x1b[Ay\x1bOPn\x1b[15~q\x1b[1;5Cu")) == ["y", "n", "y", "n", "q", "u"]
     assert list(_single("\x1b")) == []
+    assert list(_single("a\x1b[C\x1bOCb\x1b[D\x1bODd")) == ["a", "→", "→", "b", "←", "←", "d"]
+
+
+class Pieces(Device):
+    """Gives what a terminal sent, piece by piece."""
+
+    def __init__(self, *pieces: str) -> None:
+        self.pieces = list(pieces)
+
+    def raw(self, seconds: float) -> str:
+        return self.pieces.pop(0) if self.pieces else ""
+
+
+def test_an_arrow_that_comes_in_pieces_is_one_key() -> None:
+    device = Pieces("d\x1b", "[", "D", "k", "\x1b", "", "n")
+    assert [device.keys(0.0) for _ in range(4)] == [["d", "←"], ["k"], [], ["n"]]

@@ -42,8 +42,9 @@ _COMMANDS = {
         ("koopdqn eval", "koopdqn eval run=DIR --json"),
     ),
     "correct": (
-        "Correct a stretch of a learned path by waypoints; the rest stays as it is.",
+        "Correct a stretch of a learned path by keys or waypoints; the rest stays as it is.",
         (
+            "koopdqn correct run=DIR  (plays the path; stop it and show the better way)",
             "koopdqn correct run=DIR 'waypoints=[[0.44,-0.06,0.56],[0.45,0.0,0.58]]'",
             "koopdqn correct run=DIR waypoints=better.csv",
         ),

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field
 from koopdqn import pose
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.metrics import without_stairs
+from koopdqn.files import write_text
 from koopdqn.intent.bend import Bend
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
@@ -20,7 +21,8 @@ from koopdqn.tasks.workcell import Workcell
 
 # A point of the path that is moved by less [m] is not corrected.
 _UNMOVED_M = 1e-4
-_MOST_WAYPOINTS = 100
+MOST_WAYPOINTS = 100
+"""A correction is shown by so many at most."""
 
 
 def _to_waypoints(value: object) -> object:
@@ -33,8 +35,9 @@ class CorrectionSettings(Settings):
     """What ``koopdqn correct`` is shown."""
 
     waypoints: Annotated[tuple[Vector3, ...], BeforeValidator(_to_waypoints)] | None = Field(
-        max_length=_MOST_WAYPOINTS,
-        description="the better way, in the order in which the path passes it: positions in UR Base, or a CSV file [m]",
+        max_length=MOST_WAYPOINTS,
+        description="the better way, in the order in which the path passes it: positions in UR Base, or a CSV file [m];"
+        " null: a person at the terminal shows it",
     )
 
 
@@ -51,6 +54,11 @@ def read_waypoints(path: Path) -> tuple[tuple[float, ...], ...]:
     except ValueError as error:
         raise ValueError(f"{path}: must hold x,y,z a line, found {error}") from error
     return tuple(tuple(row) for row in rows.tolist())
+
+
+def write_waypoints(path: Path, waypoints: Array) -> None:
+    """Write positions (W, 3) [m] as the CSV file that :func:`read_waypoints` reads, digit for digit."""
+    write_text(path, "".join(",".join(map(repr, row)) + "\n" for row in waypoints.tolist()))
 
 
 class CorrectionFile(ReportModel):
@@ -72,7 +80,7 @@ class CorrectionFile(ReportModel):
     before_max_mm: float = Field(description="largest of these distances")
     behind_mean_mm: float = Field(description="the same behind the stretch")
     behind_max_mm: float = Field(description="largest of these distances")
-    seconds: float = Field(description="how long it took")
+    seconds: float = Field(description="how long it took, without the time in which a person showed the way")
 
 
 def played(workcell: Workcell, policy: Controller, limit: int) -> Episode:

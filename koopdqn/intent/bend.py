@@ -76,7 +76,7 @@ class Bend:
             )
         first, last = (arc[place[i]] + sign * max(_LEAST_WAY_M, _WAY * apart[i]) for i, sign in ((0, -1.0), (-1, 1.0)))
         first, last = max(first, arc[1]), min(last, arc[-2])
-        if arc[place[0]] - first < _LEAST_WAY_M or last - arc[place[-1]] < _LEAST_WAY_M:
+        if arc[place[0]] - arc[1] < _LEAST_WAY_M or arc[-2] - arc[place[-1]] < _LEAST_WAY_M:
             raise BadInputError(
                 f"waypoints: must lie at least {_LEAST_WAY_M:g} m of path from its start and its goal, which stay,"
                 f" found {arc[place[0]]:.3f} m and {arc[-1] - arc[place[-1]]:.3f} m"

@@ -1,7 +1,9 @@
-"""``koopdqn correct``: lead a stretch of a learned path through waypoints; the rest stays as it is."""
+"""``koopdqn correct``: lead a stretch of a learned path through waypoints, given or shown by keys; the rest stays."""
 
+import json
+import shlex
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
 
@@ -13,48 +15,84 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.eval import step_limit_of
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.train import REPORT
+from koopdqn.app.correcting.screen import CorrectingScreen, check_keyboard
+from koopdqn.app.correcting.showing import Showing
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, played
 from koopdqn.files import write_json
+from koopdqn.intent.bend import Bend
 from koopdqn.pose import Array
+from koopdqn.rl.around import PolicyAround
+from koopdqn.rl.policy import Policy, read_policy, write_corrected
+from koopdqn.tasks.rollout import Episode
+from koopdqn.tasks.workcell import Workcell
 
 NAME = "correct.json"
+SHOWN = "waypoints.csv"
 _KEPT = (pipeline.DEMONSTRATIONS, pipeline.INTENT, REPORT, "fit.json")
+
+
+@dataclass(frozen=True)
+class _Learned:
+    """A learned path, and all that correcting it needs: the policy, its episode from the nominal start and its bend."""
+
+    policy: Policy
+    workcell: Workcell
+    limit: int
+    episode: Episode
+    bend: Bend
+
+    @classmethod
+    def read(cls, config: Configuration, source: Path) -> "_Learned":
+        policy, _ = read_policy(source / POLICY, config.task)
+        limit, workcell = step_limit_of(source / REPORT), pipeline.open_scene(config)
+        controller = policy if policy.bend is None else PolicyAround(policy, policy.bend)
+        episode = played(workcell, controller, limit)
+        return cls(policy, workcell, limit, episode, along(episode) if policy.bend is None else policy.bend)
+
+    def corrected(self, waypoints: Array) -> "_Corrected":
+        began, now = monotonic(), self.bend.through(waypoints)
+        new = played(self.workcell, PolicyAround(replace(self.policy, bend=now), now), self.limit)
+        found = Followed.of(self.episode, new, self.bend, now, waypoints)
+        return _Corrected(waypoints, now, found, monotonic() - began)
+
+
+@dataclass(frozen=True)
+class _Corrected:
+    waypoints: Array
+    bend: Bend
+    found: Followed
+    seconds: float
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Correct the run of ``run=``; the new run folder holds the corrected one and ``correct.json``.
 
-    Raises:
-        BadInputError: no waypoints are shown, or they do not lie along the learned path.
-        WorkFailedError: the arm cannot follow the corrected path to the goal.
-    """
-    from koopdqn.rl.around import PolicyAround
-    from koopdqn.rl.policy import read_policy, write_corrected
+    Without waypoints a person at the terminal shows them.
 
-    began, source = monotonic(), config.inputs.run
-    if source is None or config.correct.waypoints is None:
-        raise BadInputError(
-            "waypoints: must show the better way, as [[x,y,z],…] or a CSV file of positions, found none"
-        )
-    policy, _ = read_policy(source / POLICY, config.task)
-    limit, workcell = step_limit_of(source / REPORT), pipeline.open_scene(config)
-    waypoints: Array = np.array(config.correct.waypoints)
-    learned = policy if policy.bend is None else PolicyAround(policy, policy.bend)
-    old = played(workcell, learned, limit)
-    was = along(old) if policy.bend is None else policy.bend
-    now = was.through(waypoints)
-    new = played(workcell, PolicyAround(replace(policy, bend=now), now), limit)
-    found = Followed.of(old, new, was, now, waypoints)
+    Raises:
+        BadInputError: there are no waypoints and no terminal, or they do not lie along the learned path.
+        WorkFailedError: the arm cannot follow the corrected path to the goal.
+        PauseRequested: the person quit.
+    """
+    began, source, given = monotonic(), config.inputs.run, config.correct.waypoints
+    if source is None:
+        raise BadInputError("run: must name the trained run to correct, found none")
+    if given is None:
+        check_keyboard()
+    learned = _Learned.read(config, source)
+    seconds = monotonic() - began
+    made = _shown(learned, source, folder) if given is None else learned.corrected(np.array(given))
+    found = made.found
     for name in _KEPT:
         if (source / name).is_file():
             shutil.copyfile(source / name, folder / name)
-    write_corrected(folder / POLICY, source / POLICY, now)
+    write_corrected(folder / POLICY, source / POLICY, made.bend)
     report = CorrectionFile(
         run=str(source),
         task=config.task.name,
-        waypoints=waypoints.tolist(),
+        waypoints=made.waypoints.tolist(),
         stretch_m=found.stretch.tolist(),
         moved_mm=float(found.moved.max()) * 1e3,
         missed_mm=float(found.missed.max()) * 1e3,
@@ -64,7 +102,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         before_max_mm=_max_mm(found.before),
         behind_mean_mm=_mean_mm(found.behind),
         behind_max_mm=_max_mm(found.behind),
-        seconds=monotonic() - began,
+        seconds=seconds + made.seconds,
     ).model_dump(mode="json")
     write_json(folder / NAME, report)
     first, last = found.stretch
@@ -77,8 +115,31 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         f" {report['behind_max_mm']:.1f} mm behind it",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / NAME)}",
+        *(
+            [f"the same again  {_again(source, json.dumps(report['waypoints'], separators=(',', ':')))}"]
+            * (given is None)
+        ),
     ]
     return CommandResult(report, lines, objective=report["followed_mean_mm"])
+
+
+def _shown(learned: _Learned, source: Path, folder: Path) -> _Corrected:
+    """Return the correction by the waypoints that a person shows, which are kept however it ends."""
+    showing = Showing(learned.episode, learned.bend, learned.workcell, folder / SHOWN)
+    made = None
+    try:
+        screen = CorrectingScreen(showing, learned.workcell.task.name, console.shown_path(folder), learned.corrected)
+        made = screen.run()
+    finally:
+        if made is None and showing.added:
+            again = _again(source, console.shown_path(showing.file))
+            console.note(f"waypoints shown: {len(showing.added)}, kept; to correct by them: {again}")
+    return made
+
+
+def _again(source: Path, waypoints: str) -> str:
+    """Return the command that corrects a run by waypoints, as a shell takes it."""
+    return shlex.join(["koopdqn", "correct", f"run={console.shown_path(source)}", f"waypoints={waypoints}"])
 
 
 def _mean_mm(distances: Array) -> float:

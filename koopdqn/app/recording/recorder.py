@@ -15,13 +15,13 @@ from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Motion, Reachability, Workcell
 
-_AXES: Final = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0)}
+AXES: Final = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0)}
 """Axis of the base and sense of each key that moves along one."""
 _TURNS: Final = {"i": (0, 1.0), "k": (0, -1.0), "j": (1, 1.0), "l": (1, -1.0), "t": (2, 1.0), "h": (2, -1.0)}
 """Axis of the tool and sense of each key that turns about one."""
 _STRAIGHT: Final = "g"
 _TOWARD: Final = "o"
-MOVES: Final = (*_AXES, *_TURNS, _STRAIGHT, _TOWARD)
+MOVES: Final = (*AXES, *_TURNS, _STRAIGHT, _TOWARD)
 """The keys that move the arm."""
 _TURNS_PER_ACTION: Final = 2.0
 """How far an action turns on the spot, in rotation tolerances (Table 1's third)."""
@@ -35,8 +35,8 @@ def target(key: str, here: Array, goal: Array, step: float, turn: float) -> Arra
     It moves by ``step`` [m] or turns by ``turn`` [rad]; toward the goal (7,) no farther than the goal.
     """
     moved = here.copy()
-    if key in _AXES:
-        axis, sense = _AXES[key]
+    if key in AXES:
+        axis, sense = AXES[key]
         moved[axis] += sense * step
     elif key == _STRAIGHT:
         moved[pose.POSITION] = pose.moved_toward(here[pose.POSITION], goal[pose.POSITION], step)

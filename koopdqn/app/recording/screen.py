@@ -115,31 +115,33 @@ def _right(shown: Shown, width: int) -> list[Text]:
     apart = f"{np.linalg.norm(away):.1f} mm and {np.linalg.norm(turn):.1f}° away"
     return [
         Text("              x       y       z", style=DIM),
-        _row("tool", here[pose.POSITION] * 1e3, "mm"),
-        _row("goal", task.goal[pose.POSITION] * 1e3, "mm"),
-        _row("to go", away, "mm", signed=True),
-        _row("turn", turn, "° tool", signed=True),
-        _pair("goal", "reached, " + apart if reached else apart, GOAL if reached else Style()),
-        *(wrapped(f"rule   BROKEN here: {task.rule}", width, _TOOL) if broken else [_pair("rule", "held")]),
+        row("tool", here[pose.POSITION] * 1e3, "mm"),
+        row("goal", task.goal[pose.POSITION] * 1e3, "mm"),
+        row("to go", away, "mm", signed=True),
+        row("turn", turn, "° tool", signed=True),
+        pair("goal", "reached, " + apart if reached else apart, GOAL if reached else Style()),
+        *(wrapped(f"rule   BROKEN here: {task.rule}", width, _TOOL) if broken else [pair("rule", "held")]),
         Text(""),
-        _pair("step", f"{recorder.step * 1e3:.4g} mm, {np.degrees(recorder.turn):.3g}°"),
-        _pair("path", f"{moves} move{'' if moves == 1 else 's'}, {recorder.length:.3f} m"),
-        _pair("", f"{samples} sample{'' if samples == 1 else 's'} when played"),
-        _pair("kept", f"{len(recorder.state.kept)}"),
-        *([_pair("in", shown.file, DIM)] if recorder.state.kept else []),
+        pair("step", f"{recorder.step * 1e3:.4g} mm, {np.degrees(recorder.turn):.3g}°"),
+        pair("path", f"{moves} move{'' if moves == 1 else 's'}, {recorder.length:.3f} m"),
+        pair("", f"{samples} sample{'' if samples == 1 else 's'} when played"),
+        pair("kept", f"{len(recorder.state.kept)}"),
+        *([pair("in", shown.file, DIM)] if recorder.state.kept else []),
         Text(""),
         *(Text(f"{first:<16}{second}") for first, second in _MOVING),
     ]
 
 
-def _row(name: str, values: Array, unit: str, *, signed: bool = False) -> Text:
+def row(name: str, values: Array, unit: str, *, signed: bool = False) -> Text:
+    """Return a line of three values (3,) under a name."""
     sign = "+" if signed else ""
     # Adding zero makes of a rounded −0 a 0.
     numbers = "".join(f"{round(float(value), 1) + 0.0:>{sign}8.1f}" for value in values)
     return Text.assemble((f"{name:<7}", DIM), numbers, (f" {unit}", DIM))
 
 
-def _pair(name: str, value: str, style: Style | None = None) -> Text:
+def pair(name: str, value: str, style: Style | None = None) -> Text:
+    """Return a line of a name and a value."""
     return Text.assemble((f"{name:<7}", DIM), (value, style or Style()))
 
 

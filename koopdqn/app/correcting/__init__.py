@@ -1,0 +1,1 @@
+"""A person shows at the keyboard where a learned path should go instead."""
