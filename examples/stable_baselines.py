@@ -1,6 +1,6 @@
-"""Stable-Baselines3's DQN or PPO on the shelf, through Gymnasium, 64 episodes at once.
+"""Stable-Baselines3's DQN, PPO or SAC on the shelf, through Gymnasium, 64 episodes at once.
 
-Run it with ``python examples/stable_baselines.py DQN 50000``: learner, steps, then overrides like ``seed=3``.
+Run it with ``python examples/stable_baselines.py PPO 50000 0``: learner, steps, seed, then overrides.
 """
 
 import sys
@@ -9,29 +9,26 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from stable_baselines3 import DQN, PPO
+from stable_baselines3 import DQN, PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
 import koopdqn.gym
-from koopdqn.envs.sb3 import StableBaselinesVecEnv
+from koopdqn.envs.sb3 import FourierFeatures, StableBaselinesVecEnv
 from koopdqn.pose import Array
 from koopdqn.rl.network import observe
 from koopdqn.tasks.rollout import SUCCESS, roll_out
 
-SETTINGS: dict[str, Any] = {"learning_rate": 1e-3, "gamma": 0.5, "seed": 0, "policy_kwargs": {"net_arch": [256, 256]}}
+STARTS = ["agent.exploring_starts=0.95", "agent.exploring_in_region=0.2"]
+SETTINGS: dict[str, tuple[Any, dict[str, Any]]] = {
+    "DQN": (DQN, {"batch_size": 256, "gradient_steps": 8, "target_update_interval": 1000}),
+    "PPO": (PPO, {"batch_size": 512, "n_steps": 64, "n_epochs": 6, "gae_lambda": 0.8}),
+    "SAC": (SAC, {"batch_size": 256, "gradient_steps": 8, "learning_starts": 2000, "ent_coef": "auto_0.05"}),
+}
 
 
-def episodes(count: int, seed: int, overrides: list[str]) -> VecNormalize:
-    """Return so many episodes at once, their observations normalised."""
-    env = gymnasium.make_vec("koopdqn/Shelf-v0", count, autoreset_mode="SameStep", overrides=overrides)
-    normalised = VecNormalize(StableBaselinesVecEnv(env), norm_reward=False)
-    normalised.seed(seed)
-    return normalised
-
-
-def success_rate(learned: DQN | PPO, env: VecNormalize, overrides: list[str]) -> float:
+def success_rate(learned: DQN | PPO | SAC, env: VecNormalize, overrides: list[str], actions: str) -> float:
     """Return the share of 100 held-out starts from which the best actions reach the goal, with nothing undone."""
-    parts = koopdqn.gym.environment_parts("shelf", overrides)
+    parts = koopdqn.gym.environment_parts("shelf", overrides, actions=actions)
     task, reachability = parts.workcell.task, parts.workcell.reachability
     begun, joints, _ = reachability.draw_starts(task, np.random.default_rng(2000), 100)
 
@@ -43,15 +40,20 @@ def success_rate(learned: DQN | PPO, env: VecNormalize, overrides: list[str]) ->
     return float(np.mean([episode.outcome == SUCCESS for episode in episodes]))
 
 
+def learn(name: str, steps: int, seed: int, overrides: list[str]) -> tuple[int, float]:
+    """Return how many steps were made, nearly all in short episodes along demonstrations, and the success rate."""
+    overrides = [*STARTS, f"seed={seed}", *overrides]
+    actions, task = ("continuous", "ShelfContinuous") if name == "SAC" else ("table1", "Shelf")
+    made: dict[str, Any] = {"overrides": overrides, "exploring_starts": True, "autoreset_mode": "SameStep"}
+    env = VecNormalize(StableBaselinesVecEnv(gymnasium.make_vec(f"koopdqn/{task}-v0", 64, **made)), norm_reward=False)
+    kind, settings = SETTINGS[name]
+    network = {"net_arch": [128, 128], "features_extractor_class": FourierFeatures}
+    shared = {"learning_rate": 1e-3, "gamma": 0.5, "seed": seed, "policy_kwargs": network}
+    learner = kind("MlpPolicy", env, **shared, **settings).learn(steps)
+    return learner.num_timesteps, success_rate(learner, env, overrides, actions)
+
+
 if __name__ == "__main__":
-    name, steps, overrides = sys.argv[1], int(sys.argv[2]), sys.argv[3:]
     torch.set_num_threads(1)
-    env = episodes(64, 0, overrides)
-    learner: DQN | PPO
-    if name == "PPO":
-        learner = PPO("MlpPolicy", env, n_steps=64, batch_size=1024, **SETTINGS)
-    else:
-        learner = DQN("MlpPolicy", env, batch_size=256, gradient_steps=8, target_update_interval=1000, **SETTINGS)
-    learner.learn(steps)
-    share = success_rate(learner, env, overrides)
-    print(f"{name} after {learner.num_timesteps} steps: {share:.0%} of 100 starts reach the goal")
+    steps, share = learn(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), sys.argv[4:])
+    print(f"{sys.argv[1]} after {steps} steps: {share:.0%} of 100 starts reach the goal")

@@ -45,6 +45,7 @@ def make(
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
     actions: str = "table1",
+    exploring_starts: bool = False,
     **keywords: Any,
 ) -> "KoopmanEnv":
     """Return the environment of one episode at a time.
@@ -58,6 +59,8 @@ def make(
         oracle: who answers where the intent is not trusted; None for the config's, which is the scripted person.
         config_dir: a folder of own options, searched beside koopdqn's.
         actions: ``table1`` or ``continuous``.
+        exploring_starts: whether episodes begin as in koopdqn's own training: most of them short, in and around the
+            start region or along a demonstration, as the config's ``agent.exploring_…`` say.
         keywords: ``render_mode``, which is ``rgb_array`` or ``human``.
 
     Raises:
@@ -65,7 +68,9 @@ def make(
     """
     from koopdqn.envs.gym import KoopmanEnv
 
-    return KoopmanEnv(environment_parts(task, overrides, demonstrations, oracle, config_dir, actions), **keywords)
+    return KoopmanEnv(
+        environment_parts(task, overrides, demonstrations, oracle, config_dir, actions, exploring_starts), **keywords
+    )
 
 
 def make_vector(
@@ -76,6 +81,7 @@ def make_vector(
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
     actions: str = "table1",
+    exploring_starts: bool = False,
     **keywords: Any,
 ) -> "KoopmanVectorEnv":
     """Return the environment of ``num_envs`` episodes at once; see :func:`make`.
@@ -84,9 +90,8 @@ def make_vector(
     """
     from koopdqn.envs.gym import KoopmanVectorEnv
 
-    return KoopmanVectorEnv(
-        environment_parts(task, overrides, demonstrations, oracle, config_dir, actions), num_envs, **keywords
-    )
+    parts = environment_parts(task, overrides, demonstrations, oracle, config_dir, actions, exploring_starts)
+    return KoopmanVectorEnv(parts, num_envs, **keywords)
 
 
 def environment_parts(
@@ -96,6 +101,7 @@ def environment_parts(
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
     actions: str = "table1",
+    exploring_starts: bool = False,
 ) -> "EnvironmentParts":
     """Return what the environment of a task consists of; see :func:`make`."""
     from koopdqn.app import api
@@ -103,7 +109,7 @@ def environment_parts(
     config = api.load_config(
         f"task={task}", f"actions={actions}", *_demos(demonstrations), *overrides, config_dir=config_dir
     )
-    return api.environment_parts(config, *_fitted(config), oracle)
+    return api.environment_parts(config, *_fitted(config), oracle, exploring_starts=exploring_starts)
 
 
 _FITTED: "dict[str, tuple[Demonstrations, Fitted]]" = {}

@@ -1,5 +1,6 @@
 """The examples run, and are as short as they promise."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,9 @@ CASES = [
     ("own_observables.py", ["demo.count=3"], "the default"),
     ("own_environment.py", ["2000", "demo.count=3"], "success_rate"),
     ("reward_in_another_loop.py", ["demo.count=3"], "actions right"),
-    ("stable_baselines.py", ["DQN", "2000", "demo.count=3"], "DQN after 2048 steps"),
+    ("stable_baselines.py", ["DQN", "2000", "0", "demo.count=3"], "DQN after 2048 steps"),
+    ("stable_baselines.py", ["PPO", "4000", "0", "demo.count=3"], "PPO after 4096 steps"),
+    ("stable_baselines.py", ["SAC", "2000", "0", "demo.count=3"], "SAC after 2048 steps"),
     ("sweep.py", ["SWEEP", "seed=0", "agent.gamma=0", *SHORT], "0: seed 0, learned"),
 ]
 
@@ -29,7 +32,20 @@ def test_every_example_is_run_and_under_sixty_lines() -> None:
 @pytest.mark.parametrize(("name", "arguments", "words"), CASES)
 def test_an_example_runs(name: str, arguments: list[str], words: str, tmp_path: Path) -> None:
     given = [str(tmp_path / "sweep") if argument == "SWEEP" else argument for argument in arguments]
-    command = [sys.executable, str(EXAMPLES / name), *given]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert words in printed(name, given, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("learner", "steps"), [("DQN", 32768), ("PPO", 49152), ("SAC", 20000)])
+def test_stable_baselines_learns_the_shelf(learner: str, steps: int, tmp_path: Path) -> None:
+    told = printed("stable_baselines.py", [learner, str(steps), "2"], tmp_path)
+    share = re.search(r"(\d+)% of 100 starts", told)
+    assert share is not None, told
+    assert int(share[1]) >= 95
+
+
+def printed(name: str, arguments: list[str], folder: Path) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert words in done.stdout
+    return done.stdout

@@ -13,6 +13,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from parts import Clerk, with_fields
@@ -27,7 +28,7 @@ from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.envs.dm import KoopmanEnvironment
 from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv, observation_space
-from koopdqn.envs.sb3 import StableBaselinesVecEnv
+from koopdqn.envs.sb3 import FourierFeatures, StableBaselinesVecEnv
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import Fitted
 from koopdqn.intent.reward import IntentReward
@@ -189,6 +190,33 @@ def test_stable_baselines_is_told_how_episodes_ended(env_parts: EnvironmentParts
     np.testing.assert_array_equal(environment.reset(), before)
     with pytest.raises(BadInputError, match="must be SameStep for Stable-Baselines3, found NextStep"):
         StableBaselinesVecEnv(cut_after(2, env_parts, 3, "NextStep"))
+
+
+@pytest.mark.parametrize("along", [True, False])
+def test_episodes_begin_as_in_training_where_wished(along: bool) -> None:
+    """Along a demonstration and short; otherwise in the start region, whatever the agent's settings say."""
+    overrides = (*SMALL, "agent.exploring_starts=1", "agent.exploring_in_region=0", "agent.exploring_steps=3")
+    environment = gymnasium.make_vec("koopdqn/Shelf-v0", 12, overrides=overrides, exploring_starts=along)
+    _, told = environment.reset(seed=0)
+    task = koopdqn.gym.environment_parts("shelf", overrides).workcell.task
+    from_middle = np.abs(told["pose"][:, :3] - task.nominal_start[:3])
+    assert (from_middle > task.start_half_range_m).any() == along
+    cut = [environment.step(np.full(12, 2))[3] for _ in range(3)]
+    assert not np.any(cut[:2])
+    np.testing.assert_array_equal(cut[2], along)
+
+
+def test_features_keep_what_is_observed_and_waves_vary_as_much() -> None:
+    torch.manual_seed(0)
+    extractor = FourierFeatures(gymnasium.spaces.Box(-9.0, 9.0, (5,)), features=400)
+    seen = torch.randn(500, 5)
+    features = extractor(seen)
+    assert features.shape == (500, extractor.features_dim)
+    assert torch.equal(features[:, :5], seen)
+    assert features[:, 5:].square().mean().item() == pytest.approx(1.0, abs=0.05)
+    elsewhere = seen.clone()
+    elsewhere[:, 3:] += 1.0
+    assert torch.equal(extractor(elsewhere)[:, 5:], features[:, 5:])
 
 
 def test_pictures_show_the_arm_where_it_is(env_parts: EnvironmentParts) -> None:

@@ -174,27 +174,42 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
 
 
 def environment_parts(
-    config: Configuration, demonstrations: Demonstrations, fitted: Fitted, oracle: Oracle | None = None
+    config: Configuration,
+    demonstrations: Demonstrations,
+    fitted: Fitted,
+    oracle: Oracle | None = None,
+    *,
+    exploring_starts: bool = False,
 ) -> "EnvironmentParts":
     """Return what an environment for another learner consists of.
+
+    With ``exploring_starts`` episodes begin as in training, most of them short (``agent.exploring_…``); without, all
+    begin in the start region.
 
     Raises:
         BadInputError: questions are to be put off, which nothing but koopdqn's own training does.
     """
     from koopdqn.envs.batch import EnvironmentParts
     from koopdqn.rl.human_reward import Budget
+    from koopdqn.rl.starts import StartSampler
 
     if config.oracle.ask != "at_once":
         raise BadInputError(f"oracle.ask: must be at_once in an environment, found {config.oracle.ask}")
     workcell = open_workcell(config)
-    longest = max(len(rows) for rows in agent_steps(demonstrations, config.task))
+    reward = reward_around_obstacles(config, workcell, demonstrations, fitted)
+    shown = agent_steps(demonstrations, config.task)
+    limit = int(config.train.step_limit_factor * max(len(rows) for rows in shown))
+    starts = None
+    if exploring_starts:
+        starts = StartSampler(workcell, reward.model.start_frame, reward.model.placed(shown), limit, config.agent)
     return EnvironmentParts(
         workcell,
-        reward_around_obstacles(config, workcell, demonstrations, fitted),
+        reward,
         oracle or config.oracle.open(workcell, config.inputs.seed, Path()),
-        int(config.train.step_limit_factor * longest),
+        limit,
         config.feedback,
         Budget(config.oracle.budget, config.oracle.when_spent),
+        starts,
     )
 
 

@@ -38,6 +38,7 @@ class EnvironmentParts:
         step_limit: actions tried after which an episode is cut.
         feedback: what is made of answers beyond the reward of the action asked about.
         budget: how many questions may be asked; one more brings reward 0 and moves nothing.
+        starts: where episodes begin and how long they may be; None for anywhere in the start region, ``step_limit``.
     """
 
     workcell: Workcell
@@ -46,6 +47,7 @@ class EnvironmentParts:
     step_limit: int
     feedback: FeedbackSettings = ANSWERS_ALONE
     budget: Budget = Budget()  # noqa: RUF009 (frozen)
+    starts: StartSampler | None = None
 
     @property
     def twist(self) -> int:
@@ -76,13 +78,12 @@ class Batch:
     """N episodes of :class:`~koopdqn.rl.vector_env.VectorEnv`, which training uses, with an action tried in each."""
 
     def __init__(self, parts: EnvironmentParts, count: int, rng: np.random.Generator) -> None:
-        """Begin ``count`` episodes in the start region, drawn from ``rng``; no answer is known."""
-        workcell, reward, limit = parts.workcell, parts.reward, parts.step_limit
+        """Begin ``count`` episodes, their starts drawn from ``rng``; no answer is known."""
+        workcell, reward = parts.workcell, parts.reward
         self._task = workcell.task
         self._frame = reward.model.start_frame
-        self._limit = limit
         self._tries = np.zeros(count, dtype=np.int64)
-        starts = StartSampler(workcell, self._frame, [], limit)
+        starts = parts.starts or StartSampler(workcell, self._frame, [], parts.step_limit)
         feedback = Feedback(reward, parts.oracle, parts.feedback, parts.budget)
         self._env = VectorEnv(workcell, feedback, starts, count, rng, twists=1)
 
@@ -149,5 +150,5 @@ class Batch:
             steps.terminated[row], steps.truncated[row] = attempt.at_goal, attempt.truncated
         self._tries[rows] += 1
         steps.undone[rows] = env.episodes.steps[rows] == before[rows]
-        steps.truncated[rows] |= ~steps.terminated[rows] & (self._tries[rows] >= self._limit)
+        steps.truncated[rows] |= ~steps.terminated[rows] & (self._tries[rows] >= env.episodes.limits[rows])
         return steps

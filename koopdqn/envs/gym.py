@@ -50,7 +50,7 @@ class KoopmanEnv(gymnasium.Env[Observations, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, Any]]:
-        """Begin an episode somewhere in the start region; there are no options."""
+        """Begin an episode at a start that is drawn; there are no options."""
         super().reset(seed=seed)
         _check_no_options(options)
         if self._batch is None or seed is not None:

@@ -1,10 +1,13 @@
-"""The environment of many episodes at once as Stable-Baselines3 knows it."""
+"""The environment of many episodes at once, and the features of its observations, as Stable-Baselines3 knows them."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import torch
+from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
@@ -82,3 +85,28 @@ class StableBaselinesVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Return False for each episode: they are in no wrapper of this library's."""
         return [False] * len(list(self._get_indices(indices)))
+
+
+class FourierFeatures(BaseFeaturesExtractor):
+    """Normalised observations, and random Fourier features of them (Rahimi & Recht 2007), as koopdqn's own network has.
+
+    The right action changes every few millimetres, which a small network on the observations alone is slow to follow.
+    ``policy_kwargs={"features_extractor_class": FourierFeatures}``. The frequencies are random and not learned.
+    """
+
+    frequencies: torch.Tensor
+    phases: torch.Tensor
+
+    def __init__(self, space: Box, features: int = 256, length_scale: float = 1.0) -> None:
+        """Draw ``features`` waves of a length scale in standard deviations of the observations."""
+        seen = int(np.prod(space.shape))
+        super().__init__(space, seen + features)
+        # The distances to the goal follow from the rest.
+        self._waved = seen - 2
+        self.register_buffer("frequencies", torch.randn(self._waved, features) / length_scale)
+        self.register_buffer("phases", 2.0 * torch.pi * torch.rand(features))
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        """Return the features (N, observed + features) of normalised observations (N, observed)."""
+        waves = torch.cos(observations[:, : self._waved] @ self.frequencies + self.phases)
+        return torch.cat([observations, 2.0**0.5 * waves], dim=1)
