@@ -48,6 +48,7 @@ _UNDRAWN = (
     "test_interruption",
     "test_own_data",
     "test_report",
+    "test_schemas",
     "test_threads",
     "test_untrusted_run",
 )
