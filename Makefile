@@ -44,7 +44,7 @@ demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learn
 	$(BIN)/koopdqn eval
 
 # Two workers with one thread each: on few cores, threads that compete cost more than they give.
-FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP) ## Run the fast tests
 	$(FAST_TESTS)

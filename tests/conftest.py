@@ -3,10 +3,10 @@
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from absl import logging as absl_logging
@@ -41,12 +41,76 @@ absl_logging.get_absl_handler().python_handler.setStream(sys.__stderr__)
 # A process for every file costs more than all else in these, the more so where coverage is counted.
 _READ_HERE = ("test_recording_arrays", "test_recording_cutting", "test_recording_ros", "test_recording_text")
 
+# Pictures are by the way in these, and take half of a small training's time; test_plots.py and others look at them.
+_UNDRAWN = (
+    "test_bad_input",
+    "test_compare",
+    "test_interruption",
+    "test_own_data",
+    "test_report",
+    "test_schemas",
+    "test_threads",
+    "test_untrusted_run",
+)
+
+# They take longest; begun last, they would leave the other workers idle.
+_LONGEST = (
+    "test_untrusted_run",
+    "test_interruption",
+    "test_docs",
+    "test_bad_input",
+    "test_recording_terminal",
+    "test_teaching",
+    "test_own_data",
+    "test_report",
+    "test_dashboard",
+    "test_threads",
+    "test_compare",
+    "test_questions",
+    "test_schemas",
+    "test_experiment",
+    "test_report_page",
+)
+
 settings.register_profile("koopdqn", derandomize=True, deadline=None)
 settings.load_profile("koopdqn")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: learns a whole task; run by `make learn` alone")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest modules; the Makefile keeps pytest-xdist from sorting them by their number of tests."""
+    place = {name: number for number, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def composed_once() -> Iterator[None]:
+    """Spare the commands that tests run in this process Hydra's first composing, which only looks for hydra.mode."""
+    from hydra._internal.hydra import Hydra
+
+    asked = Hydra.get_mode
+
+    def mode(self: Hydra, config_name: str | None, overrides: list[str]) -> Any:
+        told = any("hydra.mode" in override for override in overrides)
+        return asked(self, config_name, overrides) if told else None
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Hydra, "get_mode", mode)
+        yield
+
+
+@pytest.fixture(scope="module", autouse=True)
+def undrawn(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Leave pictures blank in modules that ask for something else."""
+    with pytest.MonkeyPatch.context() as patched:
+        if request.module.__name__ in _UNDRAWN:
+            from matplotlib.figure import Figure
+
+            patched.setattr(Figure, "draw", lambda self, renderer: None)
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ import pyte
 
 from koopdqn.app import cli
 
-CHECKOUT = str(Path(cli.__file__).resolve().parent.parent)
+CHECKOUT = str(Path(cli.__file__).resolve().parent.parent.parent)
 QUESTION = "Was this right?"
 
 

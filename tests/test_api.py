@@ -19,6 +19,12 @@ def test_importing_koopdqn_loads_neither_torch_nor_mujoco() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_what_reads_recordings_and_settings_loads_neither_torch_nor_mujoco() -> None:
+    code = "import sys, koopdqn.app.commands.importing; print([m for m in ('torch', 'mujoco') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 @pytest.mark.parametrize("name", koopdqn.__all__)
 def test_every_name_of_the_api_is_there_and_described(name: str) -> None:
     value = getattr(koopdqn, name)

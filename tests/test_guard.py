@@ -14,7 +14,8 @@ from koopdqn.app.api import load_config
 from koopdqn.errors import WorkFailedError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.dynamics import play
-from koopdqn.evaluation.evaluate import EvaluationSettings, evaluate
+from koopdqn.evaluation.evaluate import evaluate
+from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.pose import Array
 from koopdqn.programs.program import make_program
 from koopdqn.safety import Guard, GuardSettings

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 from demos_file import unsealed
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koopdqn import pose
@@ -37,6 +37,8 @@ def assert_same(found: Demonstrations, wanted: Demonstrations) -> None:
     assert found.digest() == wanted.digest()
 
 
+# Each is read in a process of its own.
+@settings(max_examples=25)
 @given(seed=st.integers(0, 1000), count=st.integers(1, 12))
 def test_what_is_written_is_read_bit_for_bit_in_order(
     tmp_path_factory: pytest.TempPathFactory, seed: int, count: int

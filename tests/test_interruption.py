@@ -40,7 +40,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.CompletedProcess[str]:
     """Run in a process of its own and send it a signal as soon as something stands in the file ``when``."""
-    checkout = str(Path(cli.__file__).resolve().parent.parent)
+    checkout = str(Path(cli.__file__).resolve().parent.parent.parent)
     path = os.pathsep.join(filter(None, [checkout, os.environ.get("PYTHONPATH")]))
     process = subprocess.Popen(
         [sys.executable, "-m", "koopdqn", "train", *SMALL, *LONGER, f"out={folder}"],

@@ -14,7 +14,8 @@ from koopdqn.app.api import load_config
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
-from koopdqn.evaluation.evaluate import EvaluationSettings, drawn_starts, evaluate
+from koopdqn.evaluation.evaluate import drawn_starts, evaluate
+from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.reward import IntentReward
 from koopdqn.safety import Guard

@@ -23,7 +23,7 @@ from koopdqn.paths import arc_lengths, to_step
 
 
 @settings(max_examples=20)
-@given(idle=st.integers(0, 300), noise=st.sampled_from([0.0, 1e-5, 1e-4]))
+@given(idle=st.integers(0, 1500), noise=st.sampled_from([0.0, 1e-5, 1e-4]))
 def test_idle_ends_are_cut_off_and_nothing_else(idle: int, noise: float) -> None:
     found = trim_idle(recorded(arc(), idle=idle, noise=noise))
     waited = idle * SECONDS / 200

@@ -16,13 +16,11 @@ if TYPE_CHECKING:
     from koopdqn.report.runs import Groups
 
 
-@pytest.mark.parametrize("make", [["--make"], ["report.make=true"]])
 def test_make_trains_and_evaluates_what_is_missing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     parts: "Parts",
     demonstrations: "Demonstrations",
-    make: list[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_run(tmp_path / "runs" / "shelf" / "old", parts, demonstrations, seed=0)
@@ -47,7 +45,7 @@ def test_make_trains_and_evaluates_what_is_missing(
 
     monkeypatch.setattr(report, "_koopdqn", launch)
     monkeypatch.setattr(report, "build", draw)
-    assert cli.main(["report", *make, "report.seeds=[0,1]", "out=made"]) == 0
+    assert cli.main(["report", "--make", "report.seeds=[0,1]", "out=made"]) == 0
     done = [(command, task, seed) for command, task, seed, _ in calls]
     assert done == [
         ("eval", "", ""),
@@ -63,7 +61,7 @@ def test_make_trains_and_evaluates_what_is_missing(
     assert shown == {("shelf", DEFAULT): complete, ("knife", DEFAULT): complete}
     # What is there is not made again.
     calls.clear()
-    assert cli.main(["report", *make, "report.seeds=[0,1]", "out=again"]) == 0
+    assert cli.main(["report", "--make", "report.seeds=[0,1]", "out=again"]) == 0
     assert calls == []
     assert PAPER not in {preset for _, preset in shown}
 

@@ -63,7 +63,8 @@ class Demonstration:
         # Dividing again would change last bits; normalised quaternions are read back as they were written.
         length = np.where(np.abs(length - 1) < 1e-14, 1.0, length)
         poses[:, pose.QUATERNION] = continuous(poses[:, pose.QUATERNION] / length[:, None])
-        object.__setattr__(self, "poses", _frozen(poses))
+        poses.setflags(write=False)
+        object.__setattr__(self, "poses", poses)
         object.__setattr__(self, "times", _frozen(self.times))
         if self.joints is not None:
             if np.ndim(self.joints) != 2 or len(self.joints) != len(poses) or not np.isfinite(self.joints).all():
@@ -79,8 +80,10 @@ class Demonstration:
 
 def continuous(quaternions: Array) -> Array:
     """Return quaternions (N, 4) of continuous sign: each with the sign nearer to its predecessor."""
-    flips = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
-    signs = np.concatenate([[1.0], np.cumprod(np.where(flips < 0, -1.0, 1.0))])
+    flips = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0
+    if not flips.any():
+        return np.array(quaternions, dtype=float)
+    signs = np.concatenate([[1.0], np.cumprod(np.where(flips, -1.0, 1.0))])
     return np.asarray(quaternions * signs[:, None], dtype=float)
 
 

@@ -89,6 +89,7 @@ STILL_RAD = 0.01
 _SIGMAS = 4.0
 _WIDEST = 3.0
 _FEWEST = 5
+_BLOCK = 1 << 9
 
 
 @dataclass(frozen=True)
@@ -164,8 +165,15 @@ def noise_of(item: Demonstration) -> tuple[float, float]:
 
 def _still(poses: Array, distance: float, turn: float) -> int:
     """Return the number of first poses (N, 7) within distance [m] and turn [rad] of the first one."""
-    moved = (pose.position_distance(poses, poses[0]) > distance) | (pose.rotation_distance(poses, poses[0]) > turn)
-    return int(moved.argmax()) if moved.any() else len(poses)
+    # Block by block, each twice as long: the arm mostly moves soon.
+    begin, block = 0, _BLOCK
+    while begin < len(poses):
+        some = poses[begin : begin + block]
+        moved = (pose.position_distance(some, poses[0]) > distance) | (pose.rotation_distance(some, poses[0]) > turn)
+        if moved.any():
+            return begin + int(moved.argmax())
+        begin, block = begin + block, 2 * block
+    return len(poses)
 
 
 def _rest(poses: Array, distance: float, turn: float) -> Array:

@@ -7,6 +7,9 @@ from pydantic import BeforeValidator, Field
 from koopdqn.settings import Fraction, Positive, Settings
 
 NOMINAL: Final = "nominal"
+# How the controller's servo follows: it looks ahead [s] and pulls by a gain; the maker's defaults.
+LOOKAHEAD_S: Final = 0.1
+GAIN: Final = 300
 _FEWEST: Final = 6
 
 

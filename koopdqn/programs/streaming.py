@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.programs.settings import GAIN, LOOKAHEAD_S
 from koopdqn.programs.timing import Motion
-from koopdqn.programs.urscript import GAIN, LOOKAHEAD_S
 from koopdqn.settings import Name, Settings
 
 AT_START_RAD: Final = 0.01

@@ -10,11 +10,9 @@ from koopdqn.files import write_text
 from koopdqn.pose import Array
 from koopdqn.programs.program import Program
 from koopdqn.programs.rtde import rotation_vectors
+from koopdqn.programs.settings import GAIN, LOOKAHEAD_S
 from koopdqn.programs.timing import steady
 
-# How the controller's servo follows: it looks ahead [s] and pulls by a gain; the maker's defaults.
-LOOKAHEAD_S: Final = 0.1
-GAIN: Final = 300
 # The controller's own defaults for the move to the start [rad/s², rad/s].
 _TO_START: Final = "a=1.4, v=0.5"
 _STOP: Final = 2.0

@@ -1,14 +1,17 @@
 """Speed and separation along a path near a person: figures from the user's own parameters, no judgement of safety."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.robot.scene import Scene
 from koopdqn.settings import NonNegative, Settings, Vector3
+
+if TYPE_CHECKING:
+    from koopdqn.robot.scene import Scene
 
 
 class PersonNear(Settings):
@@ -58,7 +61,7 @@ class Separation:
         return int((self.distance_m - self.required_m).argmin())
 
 
-def separation(scene: Scene, joints: Array, times: Array, person: PersonNear) -> Separation:
+def separation(scene: "Scene", joints: Array, times: Array, person: PersonNear) -> Separation:
     """Return the distances along joint angles (N, 6) [rad] at times (N,) [s], at least two.
 
     The arm is the lines between its joints, the flange and the end of the tool, ``arm_radius_m`` thick; its speed is

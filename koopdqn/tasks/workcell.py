@@ -1,15 +1,17 @@
 """The workcell: a task, the arm that does it, the scene it stands in, and which motions the arm can make there."""
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
-from koopdqn.robot.scene import Scene, SceneBuilder
 from koopdqn.tasks.task import Task
+
+if TYPE_CHECKING:
+    from koopdqn.robot.scene import Scene
 
 COLLISION: Final = "collision"
 UNREACHABLE: Final = "unreachable"
@@ -46,7 +48,7 @@ class Reachability:
         posture: joint angles (6,) [rad]; a path begins with the solution nearest to them.
     """
 
-    def __init__(self, arm: Arm, scene: Scene, step_seconds: float, posture: Array | None = None) -> None:
+    def __init__(self, arm: Arm, scene: "Scene", step_seconds: float, posture: Array | None = None) -> None:
         """Set the parts; a posture of None is the arm's home."""
         self.arm = arm
         self.scene = scene
@@ -189,7 +191,7 @@ class Workcell:
 
     task: Task
     arm: Arm
-    scene: Scene
+    scene: "Scene"
     reachability: Reachability
 
     def without_obstacles(self) -> "Workcell":
@@ -210,12 +212,15 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
     return Workcell(task, arm, scene, reachability)
 
 
-def build_scene(task: Task, arm: Arm) -> Scene:
+def build_scene(task: Task, arm: Arm) -> "Scene":
     """Return the scene of a task with an arm.
 
     Raises:
         BadInputError: MuJoCo refuses the scene, or the payload cannot stand clear at start and goal.
     """
+    # MuJoCo takes a while to load, and who only reads settings needs none.
+    from koopdqn.robot.scene import SceneBuilder
+
     try:
         builder = SceneBuilder(arm)
         task.furnish(builder)

@@ -9,8 +9,9 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
-from koopdqn.evaluation.evaluate import EvaluationSettings, drawn_starts
+from koopdqn.evaluation.evaluate import drawn_starts
 from koopdqn.evaluation.metrics import reference_paths
+from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback

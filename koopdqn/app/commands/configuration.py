@@ -12,7 +12,7 @@ from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.evaluation.correction import CorrectionSettings
-from koopdqn.evaluation.evaluate import EvaluationSettings
+from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings

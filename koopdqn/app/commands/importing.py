@@ -94,10 +94,15 @@ def _motions(each: Loaded) -> RenderableType:
     )
 
 
-def _reachable(config: Configuration, poses: Array, tried: int) -> bool:
-    """Return whether the arm reaches poses (N, 7): at most ``tried`` of them, evenly spread."""
-    some = poses[np.unique(np.linspace(0, len(poses) - 1, tried).astype(int))]
-    return not np.isnan(config.robot.inverse_batch(some, np.tile(config.robot.home, (len(some), 1)))).any()
+def _reachable(config: Configuration, paths: Sequence[Array]) -> list[bool]:
+    """Return whether the arm reaches each of several paths (N, 7): some of its poses, evenly spread."""
+    tried = min(_TRIED, max(2, _TRIED_IN_ALL // len(paths)))
+    some = [path[np.unique(np.linspace(0, len(path) - 1, tried).astype(int))] for path in paths]
+    # All at once: a call for each path would cost more than its poses.
+    poses = np.concatenate(some)
+    missed = np.isnan(config.robot.inverse_batch(poses, np.tile(config.robot.home, (len(poses), 1)))).any(axis=1)
+    begins = np.cumsum([0, *(len(each) for each in some[:-1])])
+    return [not part for part in np.logical_or.reduceat(missed, begins).tolist()]
 
 
 def import_(config: Configuration, folder: Path) -> CommandResult:
@@ -105,8 +110,7 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
     read, demonstrations = read_and_cut(config, "import")
     name, path = config.chosen.name, folder / DEMONSTRATIONS
     cut = trim_idle_each(demonstrations.items)
-    tried = min(_TRIED, max(2, _TRIED_IN_ALL // len(cut)))
-    reachable = [_reachable(config, each.item.poses, tried) for each in cut]
+    reachable = _reachable(config, [each.item.poses for each in cut])
     lengths = [float(arc_lengths(each.item.poses[:, pose.POSITION])[-1]) for each in cut]
     turns = [float(pose.rotation_distance(each.item.poses[0], each.item.poses[-1])) for each in cut]
     samples = [len(item) for item in demonstrations.items]

@@ -26,13 +26,13 @@ from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import MjcfArm
-from koopdqn.robot.scene import Scene
 from koopdqn.settings import TARGET, load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell
 
 if TYPE_CHECKING:
+    from koopdqn.robot.scene import Scene
     from koopdqn.view.motions import Motion
 
 DEMONSTRATIONS = "demos.hdf5"
@@ -312,7 +312,7 @@ def reward_of(
     )
 
 
-def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:
+def picture(scene: "Scene", joints: Array | None, paths: list[Array], colours: list[str] | None = None) -> Any:
     """Return a picture of a motion, joints (N, 6), with paths (T, 3) drawn in, or None where nothing can draw it."""
     from koopdqn.plots.style import draw_motion
 
@@ -325,7 +325,7 @@ def picture(scene: Scene, joints: Array | None, paths: list[Array], colours: lis
         return None
 
 
-def film(path: Path, scene: Scene, learned: "Motion", demonstrated: Sequence["Motion"]) -> None:
+def film(path: Path, scene: "Scene", learned: "Motion", demonstrated: Sequence["Motion"]) -> None:
     """Write a film of a learned motion beside the demonstration that begins nearest; a bar shows how far it is.
 
     Raises:

@@ -88,20 +88,23 @@ def _apart(whole: Recording, texts: Sequence[str]) -> list[Recording]:
 
 
 def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
-    """Return some rows of a recording as one of their own."""
+    """Return some rows of a recording, in growing order, as one of their own."""
     lines = rows if whole.rows is None else whole.rows[rows]
+    # What lies in one piece need not be copied.
+    together = len(rows) > 0 and rows[-1] - rows[0] == len(rows) - 1
+    taken = slice(rows[0], rows[-1] + 1) if together else rows
     return replace(
         whole,
         where=f"{whole.where}: {name}",
         rows=lines,
-        position=_taken(whole.position, rows),
-        turn=_taken(whole.turn, rows),
-        joints=_taken(whole.joints, rows),
-        times=_taken(whole.times, rows),
+        position=_taken(whole.position, taken),
+        turn=_taken(whole.turn, taken),
+        joints=_taken(whole.joints, taken),
+        times=_taken(whole.times, taken),
     )
 
 
-def _taken(values: Array | None, rows: np.ndarray) -> Array | None:
+def _taken(values: Array | None, rows: np.ndarray | slice) -> Array | None:
     return None if values is None else values[rows]
 
 

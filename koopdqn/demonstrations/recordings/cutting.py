@@ -90,9 +90,13 @@ def _rests(item: Demonstration) -> list[tuple[int, int]]:
     found: list[tuple[int, int]] = []
     # The row half a second on, of every row: where even that is far, no rest begins.
     ahead = np.minimum(np.searchsorted(item.times, item.times + _REST_S), len(item) - 1)
-    calm = _near(item.poses, item.poses[ahead]) & (item.times[ahead] - item.times >= 0.9 * _REST_S)
+    candidates = np.flatnonzero(
+        (pose.position_distance(item.poses, item.poses[ahead]) <= _STILL_M)
+        & (item.times[ahead] - item.times >= 0.9 * _REST_S)
+    )
+    # Turns take longest to measure, and most rows are out already.
+    candidates = candidates[_near(item.poses[candidates], item.poses[ahead[candidates]])]
     row, count = 0, len(item)
-    candidates = np.flatnonzero(calm)
     while (place := int(np.searchsorted(candidates, row))) < len(candidates):
         row = int(candidates[place])
         stop = int(ahead[row])
@@ -123,13 +127,16 @@ def _loops(item: Demonstration) -> list[tuple[int, int]]:
     if farthest < _LEAST_M:
         return []
     cuts, left, nearest = [0], False, 0
-    for row, distance in enumerate(away.tolist()):
-        if distance > _LEAVES * farthest:
+    far = away > _LEAVES * farthest
+    # Between far and near nothing happens; the rest falls into runs of rows that are far, or near.
+    rows = np.flatnonzero(far | (away <= _RETURNS * farthest))
+    for run in np.split(rows, np.flatnonzero(np.diff(far[rows])) + 1):
+        if far[run[0]]:
             if left and nearest > cuts[-1]:
                 cuts.append(nearest)
             left, nearest = True, -1
-        elif left and distance <= _RETURNS * farthest and (nearest < 0 or distance < away[nearest]):
-            nearest = row
+        elif left:
+            nearest = int(run[away[run].argmin()])
     if left and nearest > cuts[-1]:
         cuts.append(nearest)
     return list(pairwise(cuts)) if len(cuts) > 2 else []

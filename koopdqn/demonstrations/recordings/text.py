@@ -106,7 +106,14 @@ class TextColumns:
 
     def texts(self, column: int) -> list[str]:
         """Return the texts of a column."""
-        cells = [_cell(row, self.delimiter, column) for row in self.rows]
+        # In one expression: there may be a million rows, and the cells behind this one need not be looked at.
+        sign, stop = self.delimiter, column + 1
+        cells = [
+            found[column].strip()
+            if len(found := _split(row, sign) if '"' in row else row.split(sign, stop)) > column
+            else None
+            for row in self.rows
+        ]
         if None in cells:
             line = self.lines[cells.index(None)]
             raise BadInputError(f"demos {self.where}: line {line}: must have a cell {self.names[column]}, found none")
@@ -193,12 +200,6 @@ def _split(row: str, delimiter: str | None) -> list[str]:
     if '"' not in row:
         return [cell.strip() for cell in row.split(delimiter)]
     return [cell.strip() for cell in next(csv.reader(StringIO(row), delimiter=delimiter, skipinitialspace=True))]
-
-
-def _cell(row: str, delimiter: str | None, column: int) -> str | None:
-    """Return one cell of a row, or None if the row is shorter; the cells behind it are not looked at."""
-    cells = _split(row, delimiter) if '"' in row else row.split(delimiter, column + 1)
-    return cells[column].strip() if column < len(cells) else None
 
 
 def _trimmed(cells: list[str]) -> list[str]:
