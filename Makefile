@@ -11,7 +11,7 @@ PYTHON ?=
 # The releases that are installed, one a line; empty: the newest that pyproject.toml allows.
 CONSTRAINTS ?= constraints.txt
 export CONSTRAINTS
-# The folder of motions of people that `make people` and `make ablations` measure.
+# The folder of motions of people that `make people`, `make ablations` and `make continuous` measure.
 PEOPLE ?= ../shared/data
 # Options of scripts/bench.py: --long, --pykoopman=PYTHON.
 BENCH ?=
@@ -20,14 +20,14 @@ TRY_MINUTES ?= 10
 SEED ?= 0
 RUNS ?=
 PATHS ?= 1000
-# After how many minutes `make study` and `make ablations` begin no new run.
+# After how many minutes `make study`, `make ablations` and `make continuous` begin no new run.
 MINUTES ?= 90
 
 BIN := $(VENV)/bin
 AUDIT_TOOLS = $(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) -e '.[audit]'
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test coverage learn lint format types sizes bench ablations study people docs arms site figures \
+.PHONY: help setup demo test coverage learn lint format types sizes bench ablations continuous study people docs arms site figures \
 	pictures fuzz soak physics audit licences sbom package constraints clean
 
 help: ## List the targets
@@ -76,6 +76,9 @@ bench: $(STAMP) ## Measure speed beside peers, into docs/performance.md; BENCH=-
 
 ablations: $(STAMP) ## Measure each deviation from the paper, for at most MINUTES; hours, goes on where it stopped
 	$(BIN)/python scripts/study.py ablations --data $(PEOPLE) --minutes $(MINUTES)
+
+continuous: $(STAMP) ## Learn tasks and motions of people with continuous actions; goes on where it stopped
+	$(BIN)/python scripts/study.py continuous --data $(PEOPLE) --minutes $(MINUTES)
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py study --minutes $(MINUTES)
