@@ -16,7 +16,7 @@ from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.intent import detour as planning
-from koopdqn.intent.bend import BentIntent
+from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.intent.detour import around_obstacles, detour
 from koopdqn.intent.reward import IntentReward
 from koopdqn.settings import load_settings
@@ -155,6 +155,14 @@ def test_a_state_on_the_bent_path_is_trusted_as_the_one_on_the_path_was() -> Non
     was = known.trust.contains(known.trajectories[0], steps)
     assert (reward.trust.contains(bent, steps) == was).mean() > 0.95
     assert was.mean() > 0.9
+
+
+def test_a_bent_path_that_the_arm_cannot_follow_is_no_way() -> None:
+    grid = planning._Grid.along(shelf(), taught().model, shelf().task.nominal_start[None])
+    path = Bend.none(grid.poses[:, pose.POSITION])
+    lifted = np.sin(np.linspace(0.0, np.pi, len(path.path)))[:, None] * np.array([0.0, 0.0, 0.2])
+    assert grid.passable(path)
+    assert not grid.passable(Bend(path.path, lifted))
 
 
 def test_obstacles_that_leave_no_way_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

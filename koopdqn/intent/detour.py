@@ -40,6 +40,8 @@ _LEAST_PROGRESS = 0.2
 # share of the room that must be left then.
 _SPACING_M, _ROUNDED_M, _KEPT = 5e-4, (0.012, 0.008, 0.005, 0.003), 0.8
 _LONGEST = 3000
+# Of a bend every fourth point is followed, to see whether the arm can.
+_FOLLOWED = 4
 
 
 def around_obstacles(workcell: Workcell, reward: IntentReward, trajectories: list[Array]) -> IntentReward:
@@ -88,12 +90,13 @@ def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None
             best = way
         if best is not None and best.tightest <= _TIGHT:
             break
-    if best is None:
+    bend = None if best is None else grid.bend(best.offsets)
+    if bend is None or not grid.passable(bend):
         reach = _REACHES[-1][0] * _CELL_M
         raise BadInputError(
             f"task {task.name}: obstacles must leave a way around within {reach:g} m of the intended path, found none"
         )
-    return grid.bend(best.offsets)
+    return bend
 
 
 @dataclass(frozen=True)
@@ -237,6 +240,14 @@ class _Grid:
             if self._least_room(at_arc_lengths(smooth, wanted, arc)) >= least:
                 return Bend(path, smooth)
         return Bend(path, sharp)
+
+    def passable(self, bend: Bend) -> bool:
+        """Return whether the arm can follow the moved path, between the layers too."""
+        poses = to_count(self.poses, len(bend.path))
+        poses[:, pose.POSITION] = bend.bent
+        poses = np.concatenate([poses[:-1:_FOLLOWED], poses[-1:]])
+        worlds = (self.model.start_frame.from_frame(poses, start[None], poses) for start in self.starts)
+        return all(self.workcell.reachability.follow_as_far(each)[1].joints is not None for each in worlds)
 
     def _least_room(self, offsets: Array) -> float:
         """Return the least room [m] to obstacles at offsets (L, 3) of the layers."""
