@@ -64,6 +64,11 @@ class Runs:
         """Return the folder of a small sweep."""
         return self._made("swept", "train", "-m", "task=shelf", *_SWEPT)
 
+    def measured(self, run: Path) -> Path:
+        """Return the folder of a run's evaluation, where the report of its sweep finds it."""
+        out = str(run.relative_to(self.folder) / "eval")
+        return self._made(out, "eval", f"run={run}", "eval.dynamics=false", "eval.baselines=false")
+
     def of(self, command: str, *overrides: str) -> Path:
         """Return the folder of a command that looks at runs."""
         return self._made(f"{command}{len(list(self.folder.iterdir()))}", command, *overrides)
@@ -140,13 +145,14 @@ def workflow(runs: Runs) -> None:
 def sweep(runs: Runs) -> None:
     """Draw a sweep's spread over seeds."""
     for trained in sorted(runs.swept().glob("*/policy.safetensors")):
-        runs.of("eval", f"run={trained.parent}", "eval.dynamics=false", "eval.baselines=false")
+        runs.measured(trained.parent)
     _copy(runs.of("report", f"sweep={runs.swept()}") / "report" / "sweep.png")
 
 
 def pages(runs: Runs) -> None:
     """Take pictures of the pages of `koopdqn view` and `koopdqn compare`."""
     _screenshot(runs.of("view", f"run={runs.learned()}") / "view.html", "view.png")
+    runs.measured(runs.learned())
     both = (f"run={runs.learned()}", f"run={runs.stopped()}")
     _screenshot(runs.of("compare", *both, "view.starts=3") / "compare.html", "compare.png")
 

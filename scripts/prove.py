@@ -38,6 +38,8 @@ MOST_BYTES: Final = 2 * 10**9
 ENDS: Final = ("done", "refused", "failed", "hang", "crash", "memory", "wrong")
 """What comes of an input; the last four are faults."""
 FAULTS: Final = ENDS[3:]
+KILLS: Final = "kills"
+"""Beside the ends of a killed training: how often it was killed."""
 
 
 @dataclass(frozen=True)
@@ -168,17 +170,17 @@ def write_counts(name: str, seed: int, counts: Counter[tuple[str, str]], *, fres
 def write_tables(known: dict[str, Any]) -> None:
     """Write the known counts into the page."""
     text = PAGE.read_text(encoding="utf-8")
-    for name, heads in (("fuzz", "inputs"), ("soak", "runs")):
+    for name, heads in (("fuzz", ("inputs", *ENDS)), ("soak", ("runs", KILLS, *ENDS))):
         total: dict[str, Counter[str]] = {}
         for rows in known.get(name, {}).values():
             for family, ends in rows.items():
                 total.setdefault(family, Counter()).update(ends)
         whole = sum(total.values(), Counter[str]())
         table = [
-            (family, *(str(number) for number in (ends.total(), *(ends[end] for end in ENDS))))
+            (family, *map(str, (sum(ends[end] for end in ENDS), *(ends[head] for head in heads[1:]))))
             for family, ends in [*sorted(total.items()), ("all", whole)]
         ]
-        text = replaced(text, name, rows_table(("", heads, *ENDS), table))
+        text = replaced(text, name, rows_table(("", *heads), table))
     from prove_physics import table as physics
 
     text = replaced(text, "physics", physics(known.get("physics", {})))

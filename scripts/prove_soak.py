@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from prove import LONGEST_S, cpu_seconds
+from prove import KILLS, LONGEST_S, cpu_seconds
 
 from koopdqn.app import cli
 from koopdqn.errors import WorkFailedError
@@ -26,7 +26,7 @@ _MOST_KILLS: Final = 3
 
 
 def soak(seed: int, minutes: float, folder: Path) -> Counter[tuple[str, str]]:
-    """Return how often each end of each scenario was seen."""
+    """Return how often each end of each scenario was seen, and how often a signal ended its process (``kills``)."""
     # Loaded once: what follows is forked, and begins at once.
     import matplotlib.pyplot  # noqa: F401
     import torch  # noqa: F401
@@ -46,8 +46,9 @@ def soak(seed: int, minutes: float, folder: Path) -> Counter[tuple[str, str]]:
                 if status not in (0, 1):
                     raise WorkFailedError(f"{name}: a run that is never stopped must end, found status {status}")
                 whole[name] = _digests(kept), time.monotonic() - began
-            end, detail = _stopped_and_gone_on(words, folder / "run", *whole[name], rng)
+            end, kills, detail = _stopped_and_gone_on(words, folder / "run", *whole[name], rng)
             counts[name, end] += 1
+            counts[name, KILLS] += kills
             print(f"seed {seed}: {name}: {end} {detail}", flush=True)
     return counts
 
@@ -99,12 +100,15 @@ def _wait(child: int, seconds: float) -> int | None:
 
 def _stopped_and_gone_on(
     words: list[str], run: Path, expected: dict[str, str], seconds: float, rng: np.random.Generator
-) -> tuple[str, str]:
-    """Return what comes of a run that is stopped once to thrice; a run stopped before it had begun begins again."""
+) -> tuple[str, int, str]:
+    """Return what comes of a run that is stopped once to thrice, how often it was stopped, and when.
+
+    A signal that comes after the end stops nothing. A run stopped before it had begun begins again.
+    """
     shutil.rmtree(run, ignore_errors=True)
     # What lies outside the run is named again: a record alone reads nothing there.
     again = [f"run={run}", *(word for word in words if word.startswith(("journal=", "demos=")))]
-    said = []
+    said, kills = [], 0
     for _ in range(int(rng.integers(1, _MOST_KILLS + 1))):
         record = run / ".hydra" / "overrides.yaml"
         begun = record.is_file() and record.stat().st_size > 0
@@ -117,20 +121,23 @@ def _stopped_and_gone_on(
         os.kill(child, number)
         status = _wait(child, LONGEST_S)
         if status is None:
-            return "hang", ", ".join(said)
+            return "hang", kills, ", ".join(said)
         if status not in (0, 1, 130, -number):
-            return "wrong", f"status {status}: {', '.join(said)}"
+            return "wrong", kills, f"status {status}: {', '.join(said)}"
+        kills += status in (130, -number)
     begun = (run / ".hydra" / "overrides.yaml").is_file() and (run / ".hydra" / "overrides.yaml").stat().st_size > 0
     if not begun:
         shutil.rmtree(run, ignore_errors=True)
     status = _wait(_begun(["train", *again] if begun else [*words, f"out={run}"]), max(600.0, 20.0 * seconds))
     if status is None:
-        return "hang", ", ".join(said)
+        return "hang", kills, ", ".join(said)
     if status not in (0, 1):
-        return "wrong", f"went on with status {status}: {', '.join(said)}"
+        return "wrong", kills, f"went on with status {status}: {', '.join(said)}"
     found = _digests(run)
     other = [name for name in _RESULTS if found[name] != expected[name]]
-    return ("wrong", f"other bytes in {', '.join(other)}: {', '.join(said)}") if other else ("done", ", ".join(said))
+    if other:
+        return "wrong", kills, f"other bytes in {', '.join(other)}: {', '.join(said)}"
+    return "done", kills, ", ".join(said)
 
 
 def _digests(folder: Path) -> dict[str, str]:

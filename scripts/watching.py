@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from statistics import fmean, stdev
+from statistics import fmean, median, stdev
 
 import pexpect
 from benchmarks.learning import prepare
@@ -95,7 +95,8 @@ def main() -> int:
                 f" policies {'the same' if same else 'DIFFER'}",
                 flush=True,
             )
-    print(f"mean {fmean(shares):+.2%}" + (f", standard deviation {stdev(shares):.2%}" if len(shares) > 1 else ""))
+    spread = f", standard deviation {stdev(shares):.2%}" if len(shares) > 1 else ""
+    print(f"median {median(shares):+.2%}, mean {fmean(shares):+.2%}{spread}")
     return 0
 
 

@@ -35,6 +35,13 @@ def test_a_run_is_evaluated_with_its_own_task_arm_and_reward(
     assert read_json(tmp_path / "eval" / "eval.json", "the evaluation")["episodes"] == 3
 
 
+def test_an_evaluation_tells_of_obstacles_that_the_policy_was_trained_without(run: Path, tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("- {name: ball, shape: sphere, center_m: [-0.5, 0.5, 0.2], radius_m: 0.05}")
+    for name, given in {"plain": [], "among": [f"obstacles={tmp_path / 'scene.yaml'}"]}.items():
+        assert cli.main(["eval", f"run={run}", *given, *EVALUATING, f"out={tmp_path / name}"]) == 0
+        assert read_json(tmp_path / name / "eval.json", "the evaluation")["as_trained"] == (name == "plain")
+
+
 def test_a_run_is_shown_with_its_own_task(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["view", f"run={run}", "view.starts=1", f"out={tmp_path / 'view'}"]) == 0
     assert "task: as in the run" in capsys.readouterr().err

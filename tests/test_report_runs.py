@@ -79,6 +79,17 @@ def test_a_run_has_the_newest_evaluation_that_names_it(
     assert {found.folder.name: found.evaluation_file for found in runs} == {"train": newest, "other": None}
 
 
+def test_an_evaluation_among_obstacles_that_were_added_is_not_taken_for_the_runs(
+    tmp_path: Path, parts: "Parts", demonstrations: "Demonstrations"
+) -> None:
+    run = write_run(tmp_path / "train", parts, demonstrations)
+    own = write_evaluation(tmp_path / "own", parts, str(run), age=10)
+    among = write_evaluation(tmp_path / "among", parts, str(run), age=5)
+    among.write_text(json.dumps(json.loads(among.read_text()) | {"as_trained": False}))
+    [found], _ = find_runs([tmp_path])
+    assert found.evaluation_file == own
+
+
 def test_an_evaluation_of_another_release_is_left_out_with_the_reason(
     tmp_path: Path, parts: "Parts", demonstrations: "Demonstrations"
 ) -> None:

@@ -58,9 +58,14 @@ def find_evaluations(files: Sequence[Path]) -> tuple[Evaluations, dict[Path, str
 def newest_evaluation(
     folder: Path, task: str, evaluations: Evaluations
 ) -> tuple[Path, dict[str, Any]] | tuple[None, None]:
-    """Return the newest evaluation of the run in a folder, wherever it was named from, with its file; or nothing."""
+    """Return the newest evaluation of the run in a folder, wherever it was named from, with its file; or nothing.
+
+    One among obstacles that it was trained without, or with a goal that was given, says nothing of how it learned.
+    """
     wanted = folder.resolve()
     for file, content in evaluations:
+        if not content["as_trained"]:
+            continue
         bases = [Path.cwd(), *file.resolve().parents]
         if content["task"] == task and any((base / content["run"]).resolve() == wanted for base in bases):
             return file, content

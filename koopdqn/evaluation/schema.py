@@ -211,3 +211,8 @@ class EvaluationFile(EvaluationReport):
     """The content of ``eval.json``: the report with the run that was measured."""
 
     run: Name = Field(description="folder of the run that was measured, as it was given or found")
+    as_trained: bool = Field(
+        default=True,
+        description="false where obstacles stood that the policy was trained without, or its goal was given; such an"
+        " evaluation is not taken for the run's own by `compare` and `report`",
+    )

@@ -73,7 +73,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             pipeline.held_out_of(config),
             config.guard,
         )
-    content = {**evaluation.report, "run": str(source)}
+    added = bool(config.task.obstacles) and not about["task"].get("obstacles")
+    as_trained = not added and config.eval.goal is None
+    content = {**evaluation.report, "run": str(source), "as_trained": as_trained}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])

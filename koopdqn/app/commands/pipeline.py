@@ -126,11 +126,16 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         task = load_settings(about["task"], Task, "task")
         robot: Any = load_settings({**about["robot"], **_place_of(config.robot, about["robot"])}, Arm, "robot")
         reward = load_settings(about["reward"], RewardSettings, "reward")
+    if not task.obstacles:
+        # They may be added to any task.
+        task = task.model_copy(update={"obstacles": config.task.obstacles})
     trained = {"task": task, "robot": robot, "reward": reward}
     changed = [name for name, each in trained.items() if described(each) != described(getattr(config, name))]
     if not changed:
         return config
     recorded = composed(prepare("eval", [f"run={run}"]).overrides)
+    if config.task.obstacles:
+        recorded.task.obstacles = described(config.task)["obstacles"]
     default = with_task(Configuration.load(recorded), run, keep=False)
     own = [name for name in changed if described(getattr(default, name)) == described(getattr(config, name))]
     for name in own:
