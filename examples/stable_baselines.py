@@ -14,9 +14,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import koopdqn.gym
 from koopdqn.envs.sb3 import FourierFeatures, StableBaselinesVecEnv
-from koopdqn.pose import Array
-from koopdqn.rl.network import observe
-from koopdqn.tasks.rollout import SUCCESS, roll_out
 
 STARTS = ["agent.exploring_starts=0.95", "agent.exploring_in_region=0.2"]
 SETTINGS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -24,20 +21,6 @@ SETTINGS: dict[str, tuple[Any, dict[str, Any]]] = {
     "PPO": (PPO, {"batch_size": 512, "n_steps": 64, "n_epochs": 6, "gae_lambda": 0.8}),
     "SAC": (SAC, {"batch_size": 256, "gradient_steps": 8, "learning_starts": 2000, "ent_coef": "auto_0.05"}),
 }
-
-
-def success_rate(learned: DQN | PPO | SAC, env: VecNormalize, overrides: list[str], actions: str) -> float:
-    """Return the share of 100 held-out starts from which the best actions reach the goal, with nothing undone."""
-    parts = koopdqn.gym.environment_parts("shelf", overrides, actions=actions)
-    task, reachability = parts.workcell.task, parts.workcell.reachability
-    begun, joints, _ = reachability.draw_starts(task, np.random.default_rng(2000), 100)
-
-    def best(poses: Array, starts: Array) -> np.ndarray:
-        seen = observe(parts.reward.model.start_frame.to_frame(poses, starts), task)
-        return learned.predict(np.asarray(env.normalize_obs(seen)), deterministic=True)[0]
-
-    episodes = roll_out(best, task, reachability, begun, joints, parts.step_limit)
-    return float(np.mean([episode.outcome == SUCCESS for episode in episodes]))
 
 
 def learn(name: str, steps: int, seed: int, overrides: list[str]) -> tuple[int, float]:
@@ -50,7 +33,9 @@ def learn(name: str, steps: int, seed: int, overrides: list[str]) -> tuple[int, 
     network = {"net_arch": [128, 128], "features_extractor_class": FourierFeatures}
     shared = {"learning_rate": 1e-3, "gamma": 0.5, "seed": seed, "policy_kwargs": network}
     learner = kind("MlpPolicy", env, **shared, **settings).learn(steps)
-    return learner.num_timesteps, success_rate(learner, env, overrides, actions)
+    parts = koopdqn.gym.environment_parts("shelf", overrides, actions=actions)
+    share = parts.success_rate(lambda seen: learner.predict(np.asarray(env.normalize_obs(seen)), deterministic=True)[0])
+    return learner.num_timesteps, share
 
 
 if __name__ == "__main__":

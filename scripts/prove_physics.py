@@ -160,7 +160,7 @@ def table(known: dict[str, Any]) -> str:
     heads = ("task", "condition", "paths", "worst [mm]", "worst [°]", "over 2 mm or 0.5°", "contacts", "over a limit")
     rows = []
     for task, found in known.items():
-        for name, row in found["conditions"].items():
+        for name, row in sorted(found["conditions"].items(), key=lambda item: list(CONDITIONS).index(item[0])):
             worst = f"{row['tracking_mm']:.2f}", f"{row['tracking_deg']:.2f}"
             rows.append(
                 (task, name, str(row["played"]), *worst, *(str(row[key]) for key in ("off", "contacts", "limits")))

@@ -19,6 +19,7 @@ CASES = [
     ("stable_baselines.py", ["DQN", "2000", "0", "demo.count=3"], "DQN after 2048 steps"),
     ("stable_baselines.py", ["PPO", "4000", "0", "demo.count=3"], "PPO after 4096 steps"),
     ("stable_baselines.py", ["SAC", "2000", "0", "demo.count=3"], "SAC after 2048 steps"),
+    ("skrl_double_dqn.py", ["2000", "0", "demo.count=3"], "double DQN after 1984 steps"),
     ("sweep.py", ["SWEEP", "seed=0", "agent.gamma=0", *SHORT], "0: seed 0, learned"),
 ]
 
@@ -41,6 +42,13 @@ def test_stable_baselines_learns_the_shelf(learner: str, steps: int, tmp_path: P
     told = printed("stable_baselines.py", [learner, str(steps), "2"], tmp_path)
     share = re.search(r"(\d+)% of 100 starts", told)
     assert share is not None, told
+    assert int(share[1]) >= 95
+
+
+@pytest.mark.slow
+def test_skrls_double_dqn_learns_the_shelf(tmp_path: Path) -> None:
+    share = re.search(r"(\d+)% of 100 starts", printed("skrl_double_dqn.py", ["60000", "2"], tmp_path))
+    assert share is not None
     assert int(share[1]) >= 95
 
 

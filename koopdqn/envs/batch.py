@@ -1,5 +1,6 @@
 """Episodes that another library steps, all at once: what every face of the environment shares."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,6 +16,7 @@ from koopdqn.rl.network import observe
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
 from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.rollout import SUCCESS, roll_out
 from koopdqn.tasks.twists import twist_size
 from koopdqn.tasks.workcell import Workcell
 
@@ -53,6 +55,31 @@ class EnvironmentParts:
     def twist(self) -> int:
         """Numbers of a twist, the action; 0 where actions are Table 1's."""
         return twist_size(self.workcell.task) if self.reward.continuous else 0
+
+    def success_rate(
+        self, choose: Callable[[NDArray[np.float32]], np.ndarray], episodes: int = 100, seed: int = 2000
+    ) -> float:
+        """Return the share of starts of the region from which a policy reaches the goal, with no action undone.
+
+        So `koopdqn eval` measures its own: an action that the arm cannot carry out ends the episode as a failure.
+
+        Args:
+            choose: returns the actions (N,), or twists (N, 3) or (N, 6), for observations (N, 5) or (N, 8) of the
+                environment's kind.
+            episodes: how many starts are drawn.
+            seed: of their drawing; training draws none from it.
+
+        Raises:
+            BadInputError: hardly any start of the region can be taken.
+        """
+        task, reachability = self.workcell.task, self.workcell.reachability
+        begun, joints, _ = reachability.draw_starts(task, np.random.default_rng(seed), episodes)
+        frame = self.reward.model.start_frame
+        made = roll_out(
+            lambda poses, starts: np.asarray(choose(observe(frame.to_frame(poses, starts), task))),
+            *(task, reachability, begun, joints, self.step_limit),
+        )
+        return float(np.mean([episode.outcome == SUCCESS for episode in made]))
 
 
 @dataclass(frozen=True)
