@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
+from imitation.primitives import dmp
 from scipy.spatial import KDTree
 
 from koopdqn import pose
@@ -30,7 +31,7 @@ from koopdqn.intent.detour import around_obstacles
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
-from koopdqn.paths import mean_poses
+from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
 from koopdqn.rl.around import around
 from koopdqn.rl.policy import Policy, read_policy
@@ -171,6 +172,13 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
     placed = frame.each(learned.shown)
     mean = mean_poses(placed, max(len(rows) for rows in placed))
 
+    primitive = dmp(learned.shown, np.array(obstacle.center_m))
+
+    def dmp_path(start: Array) -> Array:
+        path = primitive(start, task.goal)
+        length = np.linalg.norm(np.diff(path[:, pose.POSITION], axis=0), axis=1).sum()
+        return to_count(path, 2 + int(length / task.step_m))
+
     def mean_path(start: Array) -> Array:
         path = frame.from_frame(mean, start[None], mean)
         return np.concatenate([straight_path(start, path[0], task), path[1:]])
@@ -179,6 +187,7 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
         "greedy": led(Greedy(learned.reward.model, task)),
         "replay": followed(lambda start: replay_path(start, learned.shown, task)),
         "mean": followed(mean_path),
+        "dmp": followed(dmp_path),
         "unaware": led(learned.policy),
     }
     row: dict[str, Any] = {"way": True, "behind_mm": []}

@@ -27,19 +27,32 @@ def learn(name: str, trajectories: Sequence[Array]) -> Primitive:
     The DMP is one of poses (Ude et al. 2014) of the mean demonstration; the ProMP (Paraschos et al. 2013) is of
     positions and quaternions together, which are normalised afterwards.
     """
-    return _dmp(trajectories) if name == "dmp" else _promp(trajectories)
+    return dmp(trajectories) if name == "dmp" else _promp(trajectories)
 
 
-def _dmp(trajectories: Sequence[Array]) -> Primitive:
-    from movement_primitives.dmp import CartesianDMP
+def dmp(trajectories: Sequence[Array], obstacle: Array | None = None) -> Primitive:
+    """Return the DMP of demonstrated poses (N, 7), led around the center (3,) of an obstacle if there is one.
+
+    The coupling term is that of Ijspeert et al. 2013 with the package's defaults: it knows a point, and turns nothing.
+    """
+    from movement_primitives.dmp import CartesianDMP, CouplingTermObstacleAvoidance3D
+
+    class Around(CouplingTermObstacleAvoidance3D):  # type: ignore[misc]  # movement_primitives is untyped
+        """Leads the position around and leaves the rotation, which the package steps with the same term."""
+
+        def coupling(self, y: Array, yd: Array) -> tuple[Array, Array]:
+            if len(y) == pose.QUATERNION.stop - pose.QUATERNION.start:
+                return np.zeros(3), np.zeros(3)
+            change, acceleration = super().coupling(y, yd)
+            return change, acceleration
 
     times = np.linspace(0.0, 1.0, _SAMPLES)
-    dmp = CartesianDMP(execution_time=1.0, dt=1.0 / (_SAMPLES - 1), n_weights_per_dim=_WEIGHTS["dmp"])
-    dmp.imitate(times, mean_poses(list(trajectories), _SAMPLES))
+    made = CartesianDMP(execution_time=1.0, dt=1.0 / (_SAMPLES - 1), n_weights_per_dim=_WEIGHTS["dmp"])
+    made.imitate(times, mean_poses(list(trajectories), _SAMPLES))
 
     def path(start: Array, goal: Array) -> Array:
-        dmp.configure(start_y=start, goal_y=goal)
-        return np.asarray(dmp.open_loop()[1])
+        made.configure(start_y=start, goal_y=goal)
+        return np.asarray(made.open_loop(coupling_term=None if obstacle is None else Around(obstacle))[1])
 
     return path
 
