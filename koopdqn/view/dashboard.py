@@ -224,7 +224,9 @@ def widest_plane(points: Array) -> tuple[int, int]:
 
 
 def _legend() -> Text:
-    return Text.assemble(("demonstrated", _SHOWN), "  ", ("learned", _LEARNED), "  ", ("now", _NOW), "  ", ("g", _GOAL))
+    return Text.assemble(
+        ("demonstrated", _SHOWN), "  ", ("learned", _LEARNED), "  ", ("now", _NOW), "  ", ("g goal", _GOAL)
+    )
 
 
 def _spark(values: Array) -> str:
