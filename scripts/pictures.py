@@ -14,24 +14,32 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import PIL.Image
 from benchmarks.learning import prepare
 
+import koopdqn
 from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.console import LiteralConsole
 from koopdqn.errors import WorkFailedError
 from koopdqn.files import write_text
+from koopdqn.plots.style import DEMONSTRATED, picture, rgba, show_image
 from koopdqn.plots.workflow import plot_workflow
+from koopdqn.pose import POSITION
 from koopdqn.rl.history import Check
+from koopdqn.robot.render import Camera, Ghost, Line
+from koopdqn.robot.view import View, choose_view
 from koopdqn.view.dashboard import Dashboard
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 IMAGES: Final = ROOT / "docs" / "images"
 SIZES: Final = ((80, 24), (140, 40))
 """Of the dashboard's terminals, columns and rows."""
+ARMS: Final = ("ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e")
+ARM_SIZE: Final = (720, 640)
+"""Width and height of an arm's picture [pixels]."""
 MOST_BYTES: Final = 2_000_000
 _FETCHED: Final = re.compile(r"@font-face \{.*?\}", re.DOTALL)
 _CHROMIUM: Final = ("chromium", "chromium-browser", "google-chrome")
@@ -135,6 +143,43 @@ def obstacles(runs: Runs) -> None:
     _copy(picture, "obstacles.png")
 
 
+def correction(runs: Runs) -> None:
+    """Draw the paths of a policy one stretch of which a person led 40 mm higher, as docs/corrections.md has it."""
+    higher = "[[0.436,-0.060,0.563],[0.436,-0.028,0.588],[0.450,0.001,0.581],[0.472,0.023,0.555]]"
+    corrected = runs.of("correct", f"run={runs.learned()}", f"waypoints={higher}")
+    _copy(
+        runs.of("eval", f"run={corrected}", "eval.dynamics=false", "eval.baselines=false") / "eval.png",
+        "correction.png",
+    )
+
+
+def continuous(runs: Runs) -> None:
+    """Draw the paths that were learned with any direction."""
+    trained = runs.of("train", "task=shelf", "seed=0", "actions=continuous")
+    _copy(runs.of("eval", f"run={trained}", "eval.dynamics=false") / "eval.png", "continuous.png")
+
+
+def arms(runs: Runs) -> None:
+    """Draw the arms of the UR family in the shelf task's scene, all seen from the same place."""
+    drawn: dict[str, Any] = {}
+    view: View | None = None
+    for name in reversed(ARMS):
+        config = koopdqn.load_config("task=shelf", f"robot={name}", "demo.count=1")
+        scene, [shown] = koopdqn.open_workcell(config).scene, koopdqn.generate(config).items
+        assert shown.joints is not None, "a demonstration that was generated"
+        view = view or choose_view(scene, shown.joints, ARM_SIZE)
+        with Camera(scene, ARM_SIZE) as camera:
+            line = Line(shown.poses[:, POSITION], rgba(DEMONSTRATED))
+            drawn[name] = camera.picture(shown.joints[-1], view, [line], ghosts=[Ghost(shown.joints[0])])
+    with picture(runs.folder / "arms.png", "The shelf task on the arms of the UR family", 1560, 760) as figure:
+        for axes, name in zip(figure.subplots(2, 4).flat, (*ARMS[:3], "", *ARMS[3:]), strict=True):
+            if name:
+                show_image(axes, drawn[name], name)
+            else:
+                axes.set_axis_off()
+    _copy(runs.folder / "arms.png")
+
+
 def workflow(runs: Runs) -> None:
     """Draw the algorithm as boxes and arrows."""
     path = runs.folder / "workflow.png"
@@ -177,7 +222,21 @@ def _screenshot(page: Path, name: str) -> None:
 
 
 PICTURES: Final[dict[str, Callable[[Runs], None]]] = {
-    each.__name__: each for each in (dashboard, film, explain, demos, program, obstacles, workflow, sweep, pages)
+    each.__name__: each
+    for each in (
+        dashboard,
+        film,
+        explain,
+        demos,
+        program,
+        obstacles,
+        correction,
+        continuous,
+        arms,
+        workflow,
+        sweep,
+        pages,
+    )
 }
 
 
