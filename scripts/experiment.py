@@ -48,7 +48,9 @@ class Variant(Settings):
     about: str = ""
     train: Names = ()
     of: str = ""
-    by: Literal["eval", "fit", "cloning", "cloning-noise", "hg-dagger", "sqil", "dmp", "promp"] = "eval"
+    by: Literal[
+        "eval", "fit", "cloning", "cloning-noise", "hg-dagger", "sqil", "dmp", "promp", "sb3-dqn", "sb3-ppo", "sb3-sac"
+    ] = "eval"
     measure: Names = ()
     baselines: dict[str, str] = Field(default_factory=dict)
     cases: Names = ()

@@ -4,9 +4,10 @@
 
 The method is behavioural cloning, cloning with noise, HG-DAgger, SQIL, a DMP or a ProMP, with the training's own
 network, seed, demonstrations, start frame and step limit; its intent model only says how much of the paths lies within
-the trust domain. HG-DAgger asks as many questions as the training did. ``out`` receives ``imitation.json`` (what
-learning took) and ``eval.json`` (without baselines and dynamics; of a movement primitive, whose path is followed
-instead of chosen action by action, the keys of a method alone).
+the trust domain. HG-DAgger asks as many questions as the training did. Or the method is DQN, PPO or SAC of
+Stable-Baselines3 on the training's own environment, with its intent's reward and its oracle. ``out`` receives
+``imitation.json`` (what learning took) and ``eval.json`` (without baselines and dynamics; of a movement primitive,
+whose path is followed instead of chosen action by action, the keys of a method alone).
 """
 
 import sys
@@ -19,6 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 from imitation.inferred import Imitator
+from imitation.peers import PEERS, Peer
 from imitation.primitives import PRIMITIVES, Primitive, learn
 
 from koopdqn import console
@@ -27,18 +29,21 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.exit_status import guard
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
+from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
+from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.paths import to_step
 from koopdqn.pose import Array
 from koopdqn.rl.settings import AgentSettings
+from koopdqn.rl.starts import StartSampler
 from koopdqn.tasks.rollout import SUCCESS, Controller, follow, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
-METHODS: Final = ("cloning", "cloning-noise", "hg-dagger", "sqil", *PRIMITIVES)
+METHODS: Final = ("cloning", "cloning-noise", "hg-dagger", "sqil", *PRIMITIVES, *PEERS)
 # The random stream of a training's own checks, so that the starts are the same.
 _CHECK_STREAM: Final = 3
 
@@ -87,10 +92,14 @@ def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ())
     measured: Callable[[], dict[str, Any]]
     if method in PRIMITIVES:
         measured = partial(_followed, learn(method, trained.trajectories), trained)
+    elif method in PEERS:
+        peer = _peer(method, trained)
+        took |= {"env_steps": peer.env_steps, "oracle_queries": peer.questions}
+        measured = partial(_evaluated, peer, trained, run)
     else:
         learned = _learned(method, trained, int(report["oracle_queries"]))
         took = {"updates": learned.updates, "env_steps": learned.env_steps, "oracle_queries": learned.questions}
-        measured = partial(_evaluated, learned, trained, run)
+        measured = partial(_evaluated, learned.policy, trained, run)
     about = {
         "settings": [f"method={method}", *overrides],
         "seed": configuration.inputs.seed,
@@ -128,16 +137,26 @@ def _learned(method: str, trained: Trained, questions: int) -> Imitator:
     return Imitator(cloning.policy, cloning.updates)
 
 
-def _evaluated(learned: Imitator, trained: Trained, run: Path) -> dict[str, Any]:
+def _peer(method: str, trained: Trained) -> Peer:
+    config, cell, intent = trained.config, trained.workcell, trained.intent
+    seed, frame = config.inputs.seed, intent.model.start_frame
+    # Nearly all episodes short, along a demonstration: from the start region alone PPO forgets what it passed.
+    agent = config.agent.model_copy(update={"exploring_starts": 0.95, "exploring_in_region": 0.2})
+    starts = StartSampler(cell, frame, frame.each(trained.trajectories), trained.step_limit, agent)
+    reward = IntentReward(config.task, intent.model, intent.trust, config.reward, continuous=method == "sb3-sac")
+    oracle = config.oracle.open(cell, seed, Path())
+    return Peer(
+        method, EnvironmentParts(cell, reward, oracle, trained.step_limit, config.feedback, starts=starts), seed
+    )
+
+
+def _evaluated(policy: Controller, trained: Trained, run: Path) -> dict[str, Any]:
     from koopdqn.evaluation.evaluate import evaluate
     from koopdqn.evaluation.schema import EvaluationFile
-    from koopdqn.intent.reward import IntentReward
 
     config, intent = trained.config, trained.intent
     reward = IntentReward(config.task, intent.model, intent.trust, config.reward)
-    evaluation = evaluate(
-        trained.workcell, learned.policy, reward, trained.trajectories, config.eval, trained.step_limit
-    )
+    evaluation = evaluate(trained.workcell, policy, reward, trained.trajectories, config.eval, trained.step_limit)
     return EvaluationFile.model_validate({**evaluation.report, "run": str(run)}).model_dump(mode="json")
 
 

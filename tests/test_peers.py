@@ -1,0 +1,36 @@
+"""Learners of Stable-Baselines3 on koopdqn's environment, as the study measures them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from imitation.peers import PEERS, Peer
+from small_run import SMALL
+
+import koopdqn.gym
+from koopdqn.oracles.base import Answer, Oracle, Question
+
+
+class Counted(Oracle):
+    """Says yes to everything, and counts."""
+
+    asked = 0
+
+    def answer(self, question: Question) -> Answer:
+        self.asked += 1
+        return Answer(True, "counted")
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_gives_an_action_of_its_kind_for_every_pose_and_the_same_for_the_same_seed(name: str) -> None:
+    actions = "continuous" if name == "sb3-sac" else "table1"
+    parts = koopdqn.gym.environment_parts("shelf", [*SMALL, "trust=nowhere"], actions=actions)
+    starts, _, _ = parts.workcell.reachability.draw_starts(parts.workcell.task, np.random.default_rng(0), 5)
+    oracle = Counted()
+    first = Peer(name, replace(parts, oracle=oracle), 0, steps=256)
+    assert first.questions == oracle.asked > 0
+    assert first.env_steps >= 256
+    chosen = first(starts, starts)
+    assert chosen.shape == ((5, 3) if actions == "continuous" else (5,))
+    again = Peer(name, replace(parts, oracle=Counted()), 0, steps=256)
+    np.testing.assert_array_equal(again(starts, starts), chosen)
