@@ -161,6 +161,26 @@ def test_outside_the_tube_only_the_way_back_is_allowed() -> None:
     assert joints is not None
 
 
+def test_the_arm_keeps_its_distance_and_one_that_is_nearer_may_only_come_away() -> None:
+    clearance = 0.01
+    starts, joints = held_out(STARTS)
+    scene = shelf().scene
+    touching, keeping = guard(tube=False, clearance_m=0.0), guard(tube=False, clearance_m=clearance)
+    plain = touching.roll_out(toward(WALLS["shelf"]), starts, joints, 600)
+    kept = keeping.roll_out(toward(WALLS["shelf"]), starts, joints, 600)
+    assert {episode.outcome for episode in kept} == {COLLISION}
+    assert "must keep 10 mm from what stands around" in keeping.refusals[0].detail
+    for near, far in zip(plain, kept, strict=True):
+        assert far.steps < near.steps
+        assert min(min(scene.rooms(row, clearance)) for row in far.joints) >= clearance
+    # Along the path that came nearer, forward is refused and back is not.
+    path = next(episode for episode in plain if episode.outcome == COLLISION)
+    before, here = path.poses[-2:-1], path.poses[-1:]
+    (on,) = keeping.moves(here, before, path.joints[-2:-1], path.poses[:1])
+    (back,) = keeping.moves(before, here, path.joints[-1:], path.poses[:1])
+    assert (on.reason, back.reason) == (COLLISION, "")
+
+
 @settings(max_examples=10)
 @given(rows=st.integers(5, 120), deceleration=st.floats(0.5, 20.0))
 def test_a_stopped_path_brakes_within_what_was_allowed(rows: int, deceleration: float) -> None:

@@ -1,3 +1,4 @@
+import mujoco
 import numpy as np
 import pytest
 from parts import Parts
@@ -23,6 +24,27 @@ def test_mujoco_and_the_closed_form_agree_where_the_flange_is(workcell: Workcell
         seen, computed = workcell.scene.flange_pose(joints), arm.forward(joints)
         assert pose.position_distance(seen, computed) < 1e-9
         assert pose.rotation_distance(seen, computed) < 1e-9
+
+
+def test_the_room_is_no_larger_than_the_distance_between_tool_and_furniture(workcell: Workcell) -> None:
+    scene, most = workcell.scene, 0.05
+    model, collides = scene.model, scene.model.geom_contype > 0
+    fixed = [i for i in np.flatnonzero(collides) if model.geom_bodyid[i] == 0 and "shelf" in model.geom(i).name]
+    tool = [i for i in np.flatnonzero(collides) if "/tool" in model.body(model.geom_bodyid[i]).name]
+    assert fixed
+    assert tool
+    near = 0
+    _, begun, _ = workcell.reachability.draw_starts(workcell.task, np.random.default_rng(3), 20)
+    for joints in begun:
+        # Aside, toward a wall, until it is touched.
+        for turn in np.linspace(0.0, 0.25, 12):
+            there = joints + np.array([turn, 0, 0, 0, 0, 0])
+            scene.place(there)
+            between = min(mujoco.mj_geomDistance(model, scene.data, a, b, most, None) for a in fixed for b in tool)
+            if 0.0 < between < most:
+                assert scene.rooms(there, most)[1] <= between + 1e-6
+                near += 1
+    assert near > 20
 
 
 def test_mujoco_finds_the_flange_where_a_batch_of_inverses_was_to_bring_it(workcell: Workcell, arm: URArm) -> None:

@@ -157,6 +157,9 @@ def _tool_name(name: str, payload: bool) -> str:
     return f"payload_{name}" if payload else name
 
 
+_MIDPHASE = int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+
+
 class Scene:
     """A compiled scene. It answers for joint angles: where is the flange, and does anything touch?
 
@@ -247,7 +250,10 @@ class Scene:
         """
         self.place(joints)
         self.model.geom_gap[self._furniture] = self._clearances[self._furniture] + most
+        # Its trees of boxes are made when the model is compiled, with the gaps of then.
+        self.model.opt.disableflags |= _MIDPHASE
         mujoco.mj_collision(self.model, self.data)
+        self.model.opt.disableflags &= ~_MIDPHASE
         self.model.geom_gap[self._furniture] = self._clearances[self._furniture]
         rooms = [most, most]
         for contact in self.data.contact if self.data.ncon else ():

@@ -16,7 +16,7 @@ from koopdqn.safety.separation import PersonNear
 from koopdqn.settings import NonNegative, Positive, Settings
 from koopdqn.tasks.rollout import RULE_BROKEN, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.tasks.workcell import REASONS, Motion, Workcell
+from koopdqn.tasks.workcell import COLLISION, REASONS, Motion, Workcell
 
 SPEED: Final = "speed"
 TUBE: Final = "left_tube"
@@ -32,6 +32,10 @@ class GuardSettings(Settings):
     tool_speed_m_s: Positive = Field(description="most of the flange")
     stretch: float = Field(
         ge=1, description="most that a step may be slowed for the joints' speed limits, in robot.step_seconds"
+    )
+    clearance_m: NonNegative = Field(
+        description="how near what stands around may come to the arm, which execution leaves by some tenths of a"
+        " millimetre [m]; an arm that is nearer already may only come away"
     )
     tube_margin_m: NonNegative | None = Field(
         description="how far outside the trust tube the flange may go [m]; one that begins farther away may only come"
@@ -66,9 +70,9 @@ class Refusal:
 class Guard:
     """Checks every step before it is made.
 
-    A step is refused if the arm cannot reach it within its joint limits, if it changes the arm's posture, collides, is
-    too fast for a joint or for the flange, breaks the task's rule, or leaves the trust tube. Whatever the guard refuses
-    and why is logged under ``koopdqn.safety`` and kept in :attr:`refusals`.
+    A step is refused if the arm cannot reach it within its joint limits, if it changes the arm's posture, collides or
+    nearly so, is too fast for a joint or for the flange, breaks the task's rule, or leaves the trust tube. Whatever the
+    guard refuses and why is logged under ``koopdqn.safety`` and kept in :attr:`refusals`.
 
     Attributes:
         workcell: task, arm and scene.
@@ -115,6 +119,8 @@ class Guard:
                 motions[row] = Motion(None, RULE_BROKEN, f"must hold: {self.workcell.task.rule}")
             elif too_far[row]:
                 motions[row] = Motion(None, TUBE, too_far[row])
+            elif near := self._too_near(motion.joints, joints[row]):
+                motions[row] = Motion(None, COLLISION, near)
         return motions
 
     def _too_fast(self, joints: Array, reached: Array, before: Array) -> str:
@@ -128,6 +134,13 @@ class Guard:
         if speed > settings.tool_speed_m_s * (1.0 + 1e-9):
             return f"the flange must move at most {settings.tool_speed_m_s:g} m/s, found {speed:.3g} m/s"
         return ""
+
+    def _too_near(self, joints: Array, before: Array) -> str:
+        least, scene = self.settings.clearance_m, self.workcell.scene
+        room = min(scene.rooms(joints, least)) if least else 0.0
+        if room >= least or room >= min(scene.rooms(before, least)):
+            return ""
+        return f"the arm must keep {1e3 * least:g} mm from what stands around, or come away, found {1e3 * room:.2f} mm"
 
     def _too_far(self, reached: Array, before: Array, starts: Array) -> list[str]:
         margin = self.settings.tube_margin_m
