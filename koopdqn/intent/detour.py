@@ -30,8 +30,6 @@ _SLACK_M = 0.03
 _REACHES = ((6, 0.10, 0.05), (12, 0.10, 0.05), (12, 0.20, 0.10), (18, 0.40, 0.40))
 # Costs of a layer: each 20 mm aside, all of the slack missing, and a slope of 1.
 _ASIDE_M, _NO_SLACK, _SLOPE = 0.02, 60.0, 1.0
-# Furniture that the path itself passes nearer than this [m] counts as that near.
-_LEAST_ROOM_M = 0.002
 # Missing share of the slack up to which no farther way is looked for.
 _TIGHT = 0.5
 # A layer's places may come no nearer together than this share of the path's own distance, where it bends.
@@ -217,9 +215,9 @@ class _Grid:
         It is infinite where something touches. The path itself may pass furniture as near as it does.
         """
         rooms = self.rooms(offsets, first)
-        wanted = np.full((len(offsets), 1, 2), _SLACK_M)
-        wanted[:, 0, 1] = np.maximum(self.own_rooms[first : first + len(offsets), 1], _LEAST_ROOM_M)
-        missing = np.clip(1.0 - rooms / wanted, 0.0, 1.0).max(axis=2)
+        missing = np.clip(1.0 - rooms / _SLACK_M, 0.0, 1.0)
+        missing[..., 1] = np.where(pose.norm(offsets) > 0.0, missing[..., 1], 0.0)
+        missing = missing.max(axis=2)
         return np.where((rooms < 0.0).any(axis=2), np.inf, missing)
 
     @cached_property
