@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from imitation.inferred import Imitator
-from imitation.peers import PEERS, Peer
 from imitation.primitives import PRIMITIVES, Primitive, learn
 
 from koopdqn import console
@@ -43,6 +42,10 @@ from koopdqn.tasks.rollout import SUCCESS, Controller, follow, roll_out
 from koopdqn.tasks.task import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
+if TYPE_CHECKING:
+    from imitation.peers import Peer
+
+PEERS: Final = ("sb3-dqn", "sb3-ppo", "sb3-sac")
 METHODS: Final = ("cloning", "cloning-noise", "hg-dagger", "sqil", *PRIMITIVES, *PEERS)
 # The random stream of a training's own checks, so that the starts are the same.
 _CHECK_STREAM: Final = 3
@@ -137,7 +140,9 @@ def _learned(method: str, trained: Trained, questions: int) -> Imitator:
     return Imitator(cloning.policy, cloning.updates)
 
 
-def _peer(method: str, trained: Trained) -> Peer:
+def _peer(method: str, trained: Trained) -> "Peer":
+    from imitation.peers import Peer
+
     config, cell, intent = trained.config, trained.workcell, trained.intent
     seed, frame = config.inputs.seed, intent.model.start_frame
     # Nearly all episodes short, along a demonstration: from the start region alone PPO forgets what it passed.

@@ -1,7 +1,8 @@
 """Draws the pictures of the documentation anew: `make pictures`, or ``python scripts/pictures.py NAME …`` for some.
 
 Most come from two trainings of the shelf task with seed 0, one of them stopped too early on purpose; a small sweep and
-demonstrations of the knife task are made too. Pictures of pages need Chromium; without it they stay as they are.
+demonstrations of the knife task are made too, and a training with continuous actions. Pictures of pages need Chromium;
+without it they stay as they are.
 """
 
 import argparse

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from imitation.peers import PEERS, Peer
+from imitate import PEERS
+from imitation.peers import Peer
 from small_run import SMALL
 
 import koopdqn.gym

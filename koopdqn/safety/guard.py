@@ -34,8 +34,8 @@ class GuardSettings(Settings):
         ge=1, description="most that a step may be slowed for the joints' speed limits, in robot.step_seconds"
     )
     clearance_m: NonNegative = Field(
-        description="how near what stands around may come to the arm, which execution leaves by some tenths of a"
-        " millimetre [m]; an arm that is nearer already may only come away"
+        description="least room between the arm and what stands around [m]: execution strays from its commands by some"
+        " tenths of a millimetre; an arm that is nearer already may only come away"
     )
     tube_margin_m: NonNegative | None = Field(
         description="how far outside the trust tube the flange may go [m]; one that begins farther away may only come"

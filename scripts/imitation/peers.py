@@ -16,8 +16,6 @@ from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.pose import Array
 from koopdqn.rl.network import observe
 
-PEERS: Final = ("sb3-dqn", "sb3-ppo", "sb3-sac")
-
 _EPISODES: Final = 64
 # As in examples/stable_baselines.py, which chose them on the shelf with seeds 0 and 1.
 _SHARED: Final[dict[str, Any]] = {"learning_rate": 1e-3, "gamma": 0.5}
@@ -54,9 +52,9 @@ class Peer:
     """
 
     def __init__(self, name: str, parts: EnvironmentParts, seed: int, steps: int | None = None) -> None:
-        """Learn by one of :data:`PEERS`; SAC's parts must have continuous actions, the others' those of Table 1.
+        """Learn by DQN, PPO or SAC, as ``imitate.py`` names them.
 
-        ``steps`` are how many actions are tried; None for as many as the shelf needs.
+        SAC's parts must have continuous actions, the others' those of Table 1. ``steps`` are how many actions are tried; None for as many as the shelf needs.
         """
         kind, enough, settings = _KINDS[name]
         torch.set_num_threads(1)
