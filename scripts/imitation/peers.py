@@ -54,7 +54,8 @@ class Peer:
     def __init__(self, name: str, parts: EnvironmentParts, seed: int, steps: int | None = None) -> None:
         """Learn by DQN, PPO or SAC, as ``imitate.py`` names them.
 
-        SAC's parts must have continuous actions, the others' those of Table 1. ``steps`` are how many actions are tried; None for as many as the shelf needs.
+        SAC's parts must have continuous actions, the others' those of Table 1. ``steps`` are how many actions are
+        tried; None for as many as the shelf needs.
         """
         kind, enough, settings = _KINDS[name]
         torch.set_num_threads(1)
