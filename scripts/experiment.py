@@ -42,7 +42,7 @@ class Variant(Settings):
         seeds: with which; empty for those of the experiment.
         undoes: numbers of the deviations of docs/algorithm.md that it undoes, wholly or in part.
         own_demonstrations: whether it learns from other demonstrations than the other variants.
-        kept: its values by case, if it is not measured here.
+        kept: the values of each of its runs by case, if it is not measured here.
     """
 
     about: str = ""
@@ -57,7 +57,7 @@ class Variant(Settings):
     seeds: list[int] = Field(default_factory=list)
     undoes: list[int] = Field(default_factory=list)
     own_demonstrations: bool = False
-    kept: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    kept: dict[str, list[dict[str, Any]]] = Field(default_factory=dict)
 
 
 class Column(Settings):

@@ -99,8 +99,8 @@ class Study:
             found += self._results_of(run)
         for name, variant in variants.items():
             for case in variant.kept.keys() & {each.case for each in found}:
-                kept = variant.kept[case]
-                found.append(Result(case, name, None, {**dict.fromkeys(self._experiment.values), **kept}))
+                for kept in variant.kept[case]:
+                    found.append(Result(case, name, None, {**dict.fromkeys(self._experiment.values), **kept}))
         first: dict[tuple[str, int | None], Result] = {}
         for each in found:
             shown = each.values.get("demonstrations")

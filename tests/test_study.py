@@ -86,7 +86,7 @@ def test_the_tables_grow_run_by_run(tmp_path: Path) -> None:
 
 
 def test_kept_results_stand_beside_what_is_measured(tmp_path: Path) -> None:
-    variants = {"default": {}, "paper": {"kept": {"shelf": {"success_rate": 0.25}, "knife": {"success_rate": 0.5}}}}
+    variants = {"default": {}, "paper": {"kept": {"shelf": [{"success_rate": 0.25}], "knife": [{"success_rate": 0.5}]}}}
     small = begun(tmp_path, variants=variants)
     small.measure(small.runs[:1], launch=Launcher())
     assert [(each.line, each.seed, each.values["success_rate"]) for each in small.results()] == [
