@@ -1,19 +1,27 @@
-"""Threads of the numerical libraries, set for a whole command: sums in another order end in other bits."""
+"""Threads of the numerical libraries, set for a whole command, and two halves of an update on a core each."""
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from typing import Final
 
 from koopdqn.errors import BadInputError
 
+# Fewer rows are done in less time than it takes to hand them over.
+_LEAST_ROWS: Final = 64
+# Halves begin where the libraries' blocks of rows do.
+_BLOCK: Final = 16
 _VARIABLES: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
     """Let BLAS, OpenMP and torch use a number of threads in the block, whatever the environment asks for.
+
+    Sums in another order end in other bits.
 
     Args:
         count: of each library; with the same count the same work gives the same bits.
@@ -49,3 +57,35 @@ def threads(count: int) -> Iterator[None]:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def in_halves(count: int, work: Callable[[slice], None]) -> None:
+    """Do work on the first and on the second half of rows, side by side.
+
+    How the rows are parted depends on their number alone, not on the machine, so that the same work gives the same bits.
+
+    Args:
+        count: of the rows.
+        work: with the slice of a half; must release the interpreter's lock to gain by it, as torch does.
+    """
+    if count < 2 * _LEAST_ROWS:
+        work(slice(0, count))
+        return
+    middle = (count // 2 + _BLOCK - 1) // _BLOCK * _BLOCK
+    second = _helper().submit(work, slice(middle, count))
+    try:
+        work(slice(0, middle))
+    finally:
+        second.result()
+
+
+@cache
+def _helper() -> ThreadPoolExecutor:
+    import torch
+
+    def begin(count: int) -> None:
+        # Both hold for a thread alone.
+        torch.set_num_threads(count)
+        torch.set_grad_enabled(False)
+
+    return ThreadPoolExecutor(1, "halves", begin, (torch.get_num_threads(),))

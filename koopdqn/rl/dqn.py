@@ -180,8 +180,13 @@ class Learner:
         """
         gradients: list[Tensor] = []
         for index, (weight, _) in reversed(list(enumerate(self.online.weights))):
-            seen = inputs[index]
-            gradients[:0] = [torch.mm(slope.t(), seen, out=self._slopes[index]), slope.sum(dim=0)]
+            seen, found = inputs[index], self._slopes[index]
+
+            def fill(units: slice, after: Tensor = slope, seen: Tensor = seen, found: Tensor = found) -> None:
+                torch.mm(after[:, units].t(), seen, out=found[units])
+
+            self.online.in_halves(len(found), fill)
+            gradients[:0] = [found, slope.sum(dim=0)]
             if index:
                 into = self._backward.of(f"layer {index}", *seen.shape)
                 slope = torch.mm(slope, weight, out=into)

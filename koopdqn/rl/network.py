@@ -1,5 +1,6 @@
 """The Q-network: observations of poses, and the values of the ten actions."""
 
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import cast
 
@@ -13,6 +14,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.settings import NetworkSettings
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.task import Task
+from koopdqn.threads import in_halves
 
 _POSITION, _ROTATION = 3, 3
 # Observations where orientation is held: position and the two distances.
@@ -96,17 +98,31 @@ class QNetwork(nn.Module):
 
         With buffers the arrays are valid until the buffers' next use, and there are no gradients.
         """
-        values, made = features, []
-        for index, (weight, bias) in enumerate(self.weights):
-            if buffers is None:
-                values = torch.addmm(bias, values, weight.t())
-            else:
-                into = buffers.of(f"layer {index}", len(values), len(bias))
-                values = torch.addmm(bias, values, weight.t(), out=into)
+        if buffers is None:
+            return self._layers(features, [None] * len(self.weights))
+        made = [buffers.of(f"layer {index}", len(features), len(bias)) for index, (_, bias) in enumerate(self.weights)]
+
+        def fill(rows: slice) -> None:
+            self._layers(features[rows], [into[rows] for into in made])
+
+        self.in_halves(len(features), fill)
+        return made
+
+    def _layers(self, values: Tensor, out: Sequence[Tensor | None]) -> list[Tensor]:
+        made = []
+        for index, ((weight, bias), into) in enumerate(zip(self.weights, out, strict=True)):
+            values = torch.addmm(bias, values, weight.t(), out=into)
             if index < len(self.weights) - 1:
                 values = values.relu_()
             made.append(values)
         return made
+
+    def in_halves(self, count: int, work: Callable[[slice], None]) -> None:
+        """Do work on the halves of rows side by side on a processor, and at once on a GPU."""
+        if self.device.type == "cpu":
+            in_halves(count, work)
+        else:
+            work(slice(0, count))
 
     def features(self, observations: Tensor, buffers: Buffers | None = None) -> Tensor:
         """Return the first layer's inputs (N, inputs + features) for observations (N, inputs).
@@ -116,12 +132,15 @@ class QNetwork(nn.Module):
         buffers = Buffers(self.device) if buffers is None else buffers
         count, inputs = observations.shape
         seen = buffers.of("seen", count, inputs + self.phases.numel())
-        normalised = seen[:, :inputs]
-        torch.sub(observations, self.mean, out=normalised).div_(self.spread)
-        if self.phases.numel():
-            waves = buffers.of("waves", count, self.phases.numel())
-            torch.mm(observations[:, : self._waved], self.frequencies, out=waves).add_(self.phases).cos_()
-            torch.mul(waves, _ROOT_TWO, out=seen[:, inputs:])
+        waves = buffers.of("waves", count, self.phases.numel())
+
+        def fill(rows: slice) -> None:
+            torch.sub(observations[rows], self.mean, out=seen[rows, :inputs]).div_(self.spread)
+            if self.phases.numel():
+                found = torch.mm(observations[rows, : self._waved], self.frequencies, out=waves[rows])
+                torch.mul(found.add_(self.phases).cos_(), _ROOT_TWO, out=seen[rows, inputs:])
+
+        self.in_halves(count, fill)
         return seen
 
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
