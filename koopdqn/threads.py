@@ -66,26 +66,32 @@ def in_halves(count: int, work: Callable[[slice], None]) -> None:
 
     Args:
         count: of the rows.
-        work: with the slice of a half; must release the interpreter's lock to gain by it, as torch does.
+        work: with the slice of a half; computes no gradients, and gains only where it lets go of the interpreter's
+            lock, as torch does.
     """
     if count < 2 * _LEAST_ROWS:
         work(slice(0, count))
         return
+    import torch
+
+    threads = torch.get_num_threads()
+
+    def second(rows: slice) -> None:
+        # A thread has a number of its own.
+        if torch.get_num_threads() != threads:
+            torch.set_num_threads(threads)
+        work(rows)
+
     middle = (count // 2 + _BLOCK - 1) // _BLOCK * _BLOCK
-    second = _helper().submit(work, slice(middle, count))
+    beside = _helper().submit(second, slice(middle, count))
     try:
         work(slice(0, middle))
     finally:
-        second.result()
+        beside.result()
 
 
 @cache
 def _helper() -> ThreadPoolExecutor:
     import torch
 
-    def begin(count: int) -> None:
-        # Both hold for a thread alone.
-        torch.set_num_threads(count)
-        torch.set_grad_enabled(False)
-
-    return ThreadPoolExecutor(1, "halves", begin, (torch.get_num_threads(),))
+    return ThreadPoolExecutor(1, "halves", lambda: torch.set_grad_enabled(False))

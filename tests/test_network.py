@@ -86,3 +86,10 @@ def test_each_row_is_valued_by_itself() -> None:
     made = network(WAVES)
     together = made.values(seen(3))
     np.testing.assert_allclose(made.values(seen(3)[4:5]), together[4:5], atol=1e-5)
+
+
+def test_many_rows_are_valued_as_few_are() -> None:
+    made = network(WAVES)
+    rows = np.random.default_rng(5).normal(size=(300, 5)).astype(np.float32)
+    few = np.concatenate([made.values(rows[first : first + 100]) for first in range(0, 300, 100)])
+    np.testing.assert_allclose(made.values(rows), few, atol=1e-5)

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from small_run import SMALL
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.errors import BadInputError
-from koopdqn.threads import threads
+from koopdqn.threads import in_halves, threads
 
 CHECKOUT = str(Path(cli.__file__).resolve().parent.parent.parent)
 
@@ -46,6 +48,44 @@ def test_sums_are_the_same_to_the_last_bit() -> None:
         with threadpool_limits(limits=surrounding), threads(1):
             results.append(np.linalg.solve(matrix @ matrix.T + np.eye(700), matrix).tobytes())
     assert results[0] == results[1] == results[2]
+
+
+@given(count=st.integers(0, 3000))
+def test_halves_are_all_rows_once_however_many_there_are(count: int) -> None:
+    seen = np.zeros(count, dtype=int)
+    parts: list[slice] = []
+
+    def work(rows: slice) -> None:
+        seen[rows] += 1
+        parts.append(rows)
+
+    in_halves(count, work)
+    assert (seen == 1).all()
+    assert len(parts) == (2 if count >= 128 else 1)
+
+
+@pytest.mark.parametrize("row", [0, 999])
+def test_what_goes_wrong_in_a_half_is_raised(row: int) -> None:
+    def work(rows: slice) -> None:
+        if rows.start <= row < rows.stop:
+            raise ValueError(f"row {row}")
+
+    with pytest.raises(ValueError, match=f"row {row}"):
+        in_halves(1000, work)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_both_halves_compute_with_the_same_threads_and_without_gradients(count: int) -> None:
+    import torch
+
+    weight, found = torch.ones(4, requires_grad=True), []
+
+    def work(rows: slice) -> None:
+        found.append((torch.get_num_threads(), torch.is_grad_enabled(), (weight * rows.start).requires_grad))
+
+    with threads(count), torch.no_grad():
+        in_halves(1000, work)
+    assert found == [(count, False, False)] * 2
 
 
 SURROUNDINGS = {

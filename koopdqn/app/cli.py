@@ -1,6 +1,8 @@
 """The command line: parse, compose the config, call one function, print."""
 
+import atexit
 import contextlib
+import gc
 import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -285,6 +287,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: what follows ``koopdqn`` on the command line; None reads ``sys.argv``.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:
+        # The process ends with the command: collecting all that PyTorch holds would take a second.
+        atexit.register(gc.freeze)
     missing = open_missing_streams()
     for stream in (sys.stdout, sys.stderr):
         # a terminal that cannot show ° or ρ must not end a run
