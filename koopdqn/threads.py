@@ -62,7 +62,7 @@ def threads(count: int) -> Iterator[None]:
 def in_halves(count: int, work: Callable[[slice], None]) -> None:
     """Do work on the first and on the second half of rows, side by side.
 
-    How the rows are parted depends on their number alone, not on the machine, so that the same work gives the same bits.
+    How rows are parted depends on their number alone, not on the machine, so that the same work gives the same bits.
 
     Args:
         count: of the rows.
