@@ -1,6 +1,6 @@
 """The reward in a loop of your own: tabular Q-learning on a coarse grid, rewarded by the Koopman model alone.
 
-Run it with ``python examples/reward_in_another_loop.py``.
+Run it with ``python examples/reward_in_another_loop.py 60``: episodes, then overrides.
 """
 
 import sys
@@ -12,7 +12,7 @@ import koopdqn
 from koopdqn.pose import Array
 
 CELL_M = 0.01
-EPISODES, STEPS, GAMMA, RATE = 60, 300, 0.5, 0.5
+STEPS, GAMMA, RATE = 300, 0.5, 0.5
 
 
 def cell_of(pose: Array) -> tuple[int, ...]:
@@ -21,12 +21,12 @@ def cell_of(pose: Array) -> tuple[int, ...]:
 
 
 if __name__ == "__main__":
-    config = koopdqn.load_config("task=shelf", *sys.argv[1:])
+    config = koopdqn.load_config("task=shelf", *sys.argv[2:])
     intent = koopdqn.fit(config, koopdqn.generate(config))
     reward = koopdqn.intent_reward(config, intent)
     rng = np.random.default_rng(config.inputs.seed)
     table: dict[tuple[int, ...], Array] = defaultdict(lambda: np.zeros(10))
-    for episode in range(EPISODES):
+    for episode in range(int(sys.argv[1])):
         here = start = config.task.draw_starts(rng, 1)[0]
         right = step = 0
         for step in range(STEPS):

@@ -46,6 +46,8 @@ _STARTS: Final = 4
 _FIRST, _LAST, _FREE_M = 0.12, 0.80, 0.02
 _BEHIND_M: Final = 0.06
 _DRAWS: Final = 3000
+# The search for any way at all: its grid [m], how far from the path it looks [m], through how many of its attitudes.
+_CELL_M, _ASIDE_M, _ATTITUDES = 0.01, 0.30, 12
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,7 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
     try:
         reward = around_obstacles(cell, learned.reward, learned.shown)
     except BadInputError:
-        row["way"] = False
+        row |= {"way": False, "exists": way_exists(learned, cell)}
     else:
         made["policy"] = led(around(learned.policy, reward.model))
         made["modulated"] = led(Greedy(reward.model, task))
@@ -208,6 +210,45 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
     lost = [each for each in made.get("policy", []) if each.outcome != SUCCESS]
     row["failures"] = sorted({f"{each.outcome} {each.detail}" for each in lost})
     return row | {name: sum(each.outcome == SUCCESS for each in episodes) for name, episodes in made.items()}
+
+
+def way_exists(learned: Learned, cell: Workcell) -> bool:
+    """Return whether any way leads from the nominal start to the goal, as far as a grid of 10 mm can tell.
+
+    The tool may be anywhere within 0.3 m of the path, in any of the path's attitudes, which may change from place to
+    place; the arm keeps its posture. It is no part of the method: where it finds nothing, no method could succeed.
+    """
+    path, joints, arm, scene = learned.path, learned.joints, cell.arm, cell.scene
+    chosen = np.unique(np.linspace(0, len(path) - 1, _ATTITUDES).round().astype(int))
+    if cell.task.orientation == "held":
+        chosen = chosen[-1:]
+    low = path[:, pose.POSITION].min(axis=0) - _ASIDE_M
+    shape = (*(np.ceil((path[:, pose.POSITION].max(axis=0) + _ASIDE_M - low) / _CELL_M).astype(int) + 1), len(chosen))
+    tree = KDTree(path[:, pose.POSITION])
+    seen = np.zeros(shape, dtype=bool)
+
+    def node(place: Array, attitude: int) -> tuple[int, ...]:
+        return (*np.round((place[pose.POSITION] - low) / _CELL_M).astype(int), attitude)
+
+    def free(nodes: np.ndarray) -> np.ndarray:
+        position = low + nodes[:, :3] * _CELL_M
+        poses = pose.make(position, path[chosen[nodes[:, 3]], pose.QUATERNION])
+        found = arm.inverse_batch(poses, joints[np.minimum(tree.query(position)[1], len(joints) - 1)])
+        return np.array([not np.isnan(each[0]) and min(scene.rooms(each, 0.0)) >= 0.0 for each in found])
+
+    goal = node(path[-1], len(chosen) - 1)
+    frontier = np.array([node(path[0], 0)])
+    seen[tuple(frontier[0])] = True
+    steps = np.concatenate([np.eye(4, dtype=int), -np.eye(4, dtype=int)])
+    while len(frontier):
+        beside = np.unique((frontier[:, None] + steps).reshape(-1, 4), axis=0)
+        beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
+        beside = beside[~seen[tuple(beside.T)]]
+        seen[tuple(beside.T)] = True
+        if seen[goal]:
+            return True
+        frontier = beside[free(beside)] if len(beside) else beside
+    return False
 
 
 def behind(learned: Learned, episodes: list[Episode], last: int, starts: Array) -> list[float]:

@@ -15,7 +15,7 @@ CASES = [
     ("own_oracle.py", SHORT, "questions answered"),
     ("own_observables.py", ["demo.count=3"], "the default"),
     ("own_environment.py", ["2000", "demo.count=3"], "success_rate"),
-    ("reward_in_another_loop.py", ["demo.count=3"], "actions right"),
+    ("reward_in_another_loop.py", ["20", "demo.count=3"], "actions right"),
     ("stable_baselines.py", ["DQN", "2000", "0", "demo.count=3"], "DQN after 2048 steps"),
     ("stable_baselines.py", ["PPO", "4000", "0", "demo.count=3"], "PPO after 4096 steps"),
     ("stable_baselines.py", ["SAC", "2000", "0", "demo.count=3"], "SAC after 2048 steps"),

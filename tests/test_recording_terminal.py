@@ -127,6 +127,14 @@ def test_without_a_terminal_nothing_is_begun(tmp_path: Path, term: str) -> None:
     assert not [path.name for path in folder.glob("*") if not path.name.startswith(".")]
 
 
+@pytest.fixture(scope="module")
+def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of demonstrations that no person recorded."""
+    folder = tmp_path_factory.mktemp("demo") / "scripted"
+    assert cli.main(["demo", *SMALL, "demo.count=1", f"out={folder}", "--json"]) == 0
+    return folder
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
@@ -143,12 +151,9 @@ def test_without_a_terminal_nothing_is_begun(tmp_path: Path, term: str) -> None:
     ],
 )
 def test_what_cannot_be_meant_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], expected: str
+    tmp_path: Path, scripted: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], expected: str
 ) -> None:
-    scripted = tmp_path / "scripted"
-    assert cli.main(["demo", *SMALL, "demo.count=1", f"out={scripted}", "--json"]) == 0
     before = (scripted / FILE).read_bytes()
-    capsys.readouterr()
     given = [argument.format(scripted=scripted) for argument in arguments]
     assert cli.main([*given, *([] if "run=" in " ".join(given) else [f"out={tmp_path / 'new'}"])]) == 2
     assert expected in " ".join(capsys.readouterr().err.split())
