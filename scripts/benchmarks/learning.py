@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from koopdqn.rl.dqn import Learner
 from koopdqn.rl.replay_buffer import Transitions
 from koopdqn.tasks.rollout import Controller
 from koopdqn.tasks.workcell import Workcell, open_workcell
+from koopdqn.threads import in_halves
 
 # Seconds that learning itself, and the whole process, may take.
 _BARS = {"shelf": (6.0, 12.0), "knife": (9.0, 16.0)}
@@ -81,12 +83,12 @@ def update_row(prepared: Prepared) -> Row:
     assert isinstance(learner, Learner)
     mine, theirs = compared(lambda: learner.update(batch), products(learner, batch), repeats=15)
     assert theirs is not None
-    note = f"{agent.batch} states, one thread"
+    note = f"{agent.batch} states; both in halves side by side, one thread each"
     return Row("an update of the network", mine * 1e3, "ms", "its bare matrix products", theirs * 1e3, None, 0.7, note)
 
 
 def products(learner: Learner, batch: Transitions) -> Callable[[], None]:
-    """Return work that does the matrix products of an update with a batch, and nothing else.
+    """Return work that does the matrix products of an update with a batch, in halves as it does, and nothing else.
 
     Both networks' values of what follows, the online one's of the states, and the gradients of its weights and of what
     the layers but the first see.
@@ -102,14 +104,25 @@ def products(learner: Learner, batch: Transitions) -> Callable[[], None]:
         [torch.empty_like(seen) for seen in before],
     )
 
-    def work() -> None:
+    def valued(rows: slice) -> None:
         for layer, weight in enumerate(weights):
             for _ in range(2):
-                torch.mm(after[layer], weight.t(), out=values_after[layer])
-            torch.mm(before[layer], weight.t(), out=values[layer])
-            torch.mm(slopes[layer].t(), before[layer], out=of_weights[layer])
+                torch.mm(after[layer][rows], weight.t(), out=values_after[layer][rows])
+
+    def sloped(rows: slice) -> None:
+        for layer, weight in enumerate(weights):
+            torch.mm(before[layer][rows], weight.t(), out=values[layer][rows])
             if layer:
-                torch.mm(slopes[layer], weight, out=of_inputs[layer])
+                torch.mm(slopes[layer][rows], weight, out=of_inputs[layer][rows])
+
+    def weighed(layer: int, units: slice) -> None:
+        torch.mm(slopes[layer][:, units].t(), before[layer], out=of_weights[layer][units])
+
+    def work() -> None:
+        in_halves(follows, valued)
+        in_halves(states, sloped)
+        for layer, weight in enumerate(weights):
+            in_halves(len(weight), partial(weighed, layer))
 
     return work
 
