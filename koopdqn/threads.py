@@ -95,3 +95,8 @@ def _helper() -> ThreadPoolExecutor:
     import torch
 
     return ThreadPoolExecutor(1, "halves", lambda: torch.set_grad_enabled(False))
+
+
+# A forked process has none of its parent's threads.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helper.cache_clear)

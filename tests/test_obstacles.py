@@ -161,8 +161,29 @@ def test_a_bent_path_that_the_arm_cannot_follow_is_no_way() -> None:
     grid = planning._Grid.along(shelf(), taught().model, shelf().task.nominal_start[None])
     path = Bend.none(grid.poses[:, pose.POSITION])
     lifted = np.sin(np.linspace(0.0, np.pi, len(path.path)))[:, None] * np.array([0.0, 0.0, 0.2])
-    assert grid.passable(path)
-    assert not grid.passable(Bend(path.path, lifted))
+    assert grid.refused(path) is None
+    refused = grid.refused(Bend(path.path, lifted))
+    assert refused is not None
+    assert 0.0 < refused < 1.0
+
+
+def test_a_way_that_the_arm_cannot_follow_is_given_up_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    known, cell = taught(), _with(ON_THE_WAY)
+    starts = np.array([rows[0] for rows in known.trajectories])
+    first = detour(cell, known.model, starts)
+    assert first is not None
+    share = float(pose.norm(first.offsets).argmax()) / (len(first.path) - 1)
+    middle = first.offsets[round(share * (len(first.path) - 1))]
+    refused = planning._Grid.refused
+
+    def unlike_the_first(grid: planning._Grid, bend: Bend) -> float | None:
+        near = np.linalg.norm(bend.offsets[round(share * (len(bend.path) - 1))] - middle) < 0.01
+        return share if near else refused(grid, bend)
+
+    monkeypatch.setattr(planning._Grid, "refused", unlike_the_first)
+    second = detour(cell, known.model, starts)
+    assert second is not None
+    assert np.linalg.norm(second.offsets[round(share * (len(second.path) - 1))] - middle) >= 0.01
 
 
 def test_obstacles_that_leave_no_way_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -86,6 +87,17 @@ def test_both_halves_compute_with_the_same_threads_and_without_gradients(count: 
     with threads(count), torch.no_grad():
         in_halves(1000, work)
     assert found == [(count, False, False)] * 2
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_has_a_thread_of_its_own_for_the_second_half() -> None:
+    in_halves(1000, lambda rows: None)
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)
+        in_halves(1000, lambda rows: None)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 SURROUNDINGS = {

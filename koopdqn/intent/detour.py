@@ -28,6 +28,9 @@ _SLACK_M = 0.03
 # Half width of the grid [cells], and how much of the path before the obstacle and behind it [m] the detour may take,
 # tried in turn.
 _REACHES = ((6, 0.10, 0.05), (12, 0.10, 0.05), (12, 0.20, 0.10), (18, 0.40, 0.40))
+# How many ways that the arm cannot follow between the layers are given up before the next reach is tried, and how far
+# around the place where it was refused [cells] the next way keeps away.
+_GIVEN_UP, _AWAY = 10, 1.5
 # Costs of a layer: each 20 mm aside, all of the slack missing, and a slope of 1.
 _ASIDE_M, _NO_SLACK, _SLOPE = 0.02, 60.0, 1.0
 # Missing share of the slack up to which no farther way is looked for.
@@ -83,18 +86,17 @@ def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None
     for half, before, behind in _REACHES:
         first = max(0, int(blocked[0]) - round(before / _LAYER_M))
         last = min(grid.count - 1, int(blocked[-1]) + round(behind / _LAYER_M))
-        way = grid.cheapest(first, last, half)
+        way = grid.way(first, last, half)
         if way is not None and (best is None or way.tightest < best.tightest):
             best = way
         if best is not None and best.tightest <= _TIGHT:
             break
-    bend = None if best is None else grid.bend(best.offsets)
-    if bend is None or not grid.passable(bend):
+    if best is None:
         reach = _REACHES[-1][0] * _CELL_M
         raise BadInputError(
             f"task {task.name}: obstacles must leave a way around within {reach:g} m of the intended path, found none"
         )
-    return bend
+    return best.bend
 
 
 @dataclass(frozen=True)
@@ -102,11 +104,11 @@ class _Way:
     """A way around.
 
     Attributes:
-        offsets: (L, 3) [m] of the layers.
+        bend: that takes it.
         tightest: largest missing share of the slack.
     """
 
-    offsets: Array
+    bend: Bend
     tightest: float
 
 
@@ -174,8 +176,17 @@ class _Grid:
                     found[index, place] = np.minimum(found[index, place], room)
         return found
 
-    def cheapest(self, first: int, last: int, half: int) -> "_Way | None":
-        """Return the cheapest way that is off the path between two layers at most; None if there is none."""
+    def way(self, first: int, last: int, half: int) -> "_Way | None":
+        """Return the cheapest way that the arm can follow and that is off the path between two layers at most.
+
+        Args:
+            first: layer up to which the path itself is followed.
+            last: layer from which it is followed again.
+            half: half width of the grid [cells].
+
+        Returns:
+            None if there is none.
+        """
         cells = np.arange(-half, half + 1)
         flat = np.stack(np.meshgrid(cells, cells, indexing="ij"), axis=-1).reshape(-1, 2) * _CELL_M
         offsets = np.einsum("mn,lnd->lmd", flat, self.normals[first : last + 1])
@@ -183,31 +194,27 @@ class _Grid:
         missing = self._missing(offsets, first)
         cost = np.where(np.isfinite(missing), pose.norm(offsets) / _ASIDE_M + _NO_SLACK * missing**2, np.inf)
         cost[progress < _LEAST_PROGRESS] = np.inf
-        middle = len(flat) // 2
         # The way begins and ends on the path itself.
+        middle = len(flat) // 2
         cost[0] = cost[-1] = np.inf
         cost[0, middle] = cost[-1, middle] = 0.0
-        side = len(cells)
-        shifts = [(i, j) for i in range(-_SIDEWAYS, _SIDEWAYS + 1) for j in range(-_SIDEWAYS, _SIDEWAYS + 1)]
-        slopes = np.array([_SLOPE * (i * i + j * j) * (_CELL_M / _LAYER_M) ** 2 for i, j in shifts])
-        total, came = cost[0].reshape(side, side), []
-        for layer in range(1, len(cost)):
-            padded = np.pad(total, _SIDEWAYS, constant_values=np.inf)
-            each = np.array([_shifted(padded, *shift, side) for shift in shifts]) + slopes[:, None, None]
-            came.append(each.argmin(axis=0))
-            total = each.min(axis=0) + cost[layer].reshape(side, side)
-        if not np.isfinite(total[half, half]):
-            return None
-        found = np.zeros((self.count, 3))
-        i = j = half
-        tightest = 0.0
-        for layer in range(len(cost) - 1, 0, -1):
-            found[first + layer] = offsets[layer, i * side + j]
-            if layer < len(cost) - 1:
-                tightest = max(tightest, float(missing[layer, i * side + j]))
-            shift = shifts[came[layer - 1][i, j]]
-            i, j = i + shift[0], j + shift[1]
-        return _Way(found, tightest)
+        for _ in range(_GIVEN_UP):
+            places = _cheapest(cost, len(cells))
+            if places is None:
+                return None
+            layers = np.arange(len(cost))
+            wanted = np.zeros((self.count, 3))
+            wanted[first : last + 1] = offsets[layers, places]
+            bend, refused = self._bend(wanted)
+            if bend is not None:
+                return _Way(bend, float(missing[layers, places][1:-1].max(initial=0.0)))
+            about = {int(np.floor(refused)), int(np.ceil(refused))} & set(range(first + 1, last))
+            if not about:
+                return None
+            for layer in about:
+                beside = pose.norm(offsets[layer - first] - wanted[layer])
+                cost[layer - first, beside <= _AWAY * _CELL_M] = np.inf
+        return None
 
     def _missing(self, offsets: Array, first: int) -> Array:
         """Return the missing share of the slack (K, M) at offsets (K, M, 3) of layers from ``first``.
@@ -225,8 +232,12 @@ class _Grid:
         """The room (L, 2) [m] on the path itself."""
         return self.rooms(np.zeros((self.count, 1, 3)))[:, 0]
 
-    def bend(self, offsets: Array) -> Bend:
-        """Return the bend with offsets (L, 3) [m] of the layers, its corners rounded off where that stays free."""
+    def _bend(self, offsets: Array) -> tuple[Bend | None, float]:
+        """Return the bend with offsets (L, 3) [m] of the layers, its corners rounded off where that stays free.
+
+        Returns:
+            The bend, or None and the layer (with its fraction) near which the arm cannot follow it.
+        """
         from scipy.ndimage import gaussian_filter1d
 
         arc = arc_lengths(self.poses[:, pose.POSITION])
@@ -236,20 +247,58 @@ class _Grid:
         for width in _ROUNDED_M:
             smooth = gaussian_filter1d(sharp, width / _SPACING_M, axis=0, mode="constant")
             if self._least_room(at_arc_lengths(smooth, wanted, arc)) >= least:
-                return Bend(path, smooth)
-        return Bend(path, sharp)
+                bend = Bend(path, smooth)
+                if self.refused(bend) is None:
+                    return bend, 0.0
+        bend = Bend(path, sharp)
+        refused = self.refused(bend)
+        return (bend, 0.0) if refused is None else (None, refused * (self.count - 1))
 
-    def passable(self, bend: Bend) -> bool:
-        """Return whether the arm can follow the moved path, between the layers too."""
+    def refused(self, bend: Bend) -> float | None:
+        """Return at which share of a moved path the arm can follow no farther; None if it can follow all."""
         poses = to_count(self.poses, len(bend.path))
         poses[:, pose.POSITION] = bend.bent
-        poses = np.concatenate([poses[:-1:_FOLLOWED], poses[-1:]])
-        worlds = (self.model.start_frame.from_frame(poses, start[None], poses) for start in self.starts)
-        return all(self.workcell.reachability.follow_as_far(each)[1].joints is not None for each in worlds)
+        followed = np.append(np.arange(0, len(poses) - 1, _FOLLOWED), len(poses) - 1)
+        for start in self.starts:
+            world = self.model.start_frame.from_frame(poses[followed], start[None], poses[followed])
+            reached, motion = self.workcell.reachability.follow_as_far(world)
+            if motion.joints is None:
+                return float(followed[len(reached)] / followed[-1])
+        return None
 
     def _least_room(self, offsets: Array) -> float:
         """Return the least room [m] to obstacles at offsets (L, 3) of the layers."""
         return float(self.rooms(offsets[:, None])[..., 0].min())
+
+
+def _cheapest(cost: Array, side: int) -> np.ndarray | None:
+    """Return the place (K,) in each layer of the cheapest way between the first and the last layer's free places.
+
+    Args:
+        cost: of the places (K, side²); infinite where none may be.
+        side: width of the grid [cells].
+
+    Returns:
+        None if there is no way.
+    """
+    shifts = [(i, j) for i in range(-_SIDEWAYS, _SIDEWAYS + 1) for j in range(-_SIDEWAYS, _SIDEWAYS + 1)]
+    slopes = np.array([_SLOPE * (i * i + j * j) * (_CELL_M / _LAYER_M) ** 2 for i, j in shifts])
+    total, came = cost[0].reshape(side, side), []
+    for layer in range(1, len(cost)):
+        padded = np.pad(total, _SIDEWAYS, constant_values=np.inf)
+        each = np.array([_shifted(padded, *shift, side) for shift in shifts]) + slopes[:, None, None]
+        came.append(each.argmin(axis=0))
+        total = each.min(axis=0) + cost[layer].reshape(side, side)
+    if not np.isfinite(total).any():
+        return None
+    i, j = np.unravel_index(total.argmin(), total.shape)
+    places = np.empty(len(cost), dtype=np.int64)
+    for layer in range(len(cost) - 1, -1, -1):
+        places[layer] = i * side + j
+        if layer:
+            shift = shifts[came[layer - 1][i, j]]
+            i, j = i + shift[0], j + shift[1]
+    return places
 
 
 def _shifted(padded: Array, i: int, j: int, side: int) -> Array:
