@@ -115,7 +115,7 @@ class Learner:
         self._parameters: list[Tensor] = [values.detach() for values in self.online.parameters()]
         self._target_parameters: list[Tensor] = [values.detach() for values in self.target.parameters()]
         self._adam = Adam(self._parameters, settings.learning_rate)
-        self._features, self._online, self._target, self._backward = (Buffers(self._device) for _ in range(4))
+        self._forward, self._backward = (Buffers(self._device) for _ in range(2))
         self._slopes = [torch.empty_like(weight) for weight, _ in self.online.weights]
 
     def normalise_to(self, observations: np.ndarray) -> None:
@@ -139,8 +139,7 @@ class Learner:
         with torch.no_grad():
             targets = self._targets(batch, stop)
             states, state_of = distinct(batch.observations)
-            features = self.online.features(self._tensor(states), self._features)
-            layers = self.online.activations(features, self._online)
+            features, (layers,) = self.online.passed(self._tensor(states), self._forward)
             index = self._tensor(state_of), self._tensor(batch.actions)
             chosen = layers[-1][index]
             loss = nn.functional.mse_loss(chosen, targets)
@@ -160,11 +159,8 @@ class Learner:
         # Most actions of a state are wrong, and their targets do not bootstrap.
         follows = np.flatnonzero(~stop)
         # Features are not learned, so both networks have the same.
-        features = self.online.features(self._tensor(batch.next_observations[follows]), self._features)
-        online, target = (
-            network.activations(features, buffers)[-1]
-            for network, buffers in ((self.online, self._online), (self.target, self._target))
-        )
+        after = self._tensor(batch.next_observations[follows])
+        _, ((*_, online), (*_, target)) = self.online.passed(after, self._forward, self.target)
         targets = self._tensor(batch.rewards.copy())
         rows = self._tensor(follows)
         going_on = torch.zeros(len(follows), dtype=torch.bool, device=self._device)

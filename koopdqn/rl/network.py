@@ -93,20 +93,43 @@ class QNetwork(nn.Module):
         """Return the values Q (N, 10) of observations (N, inputs)."""
         return self.activations(self.features(observations))[-1]
 
-    def activations(self, features: Tensor, buffers: Buffers | None = None) -> list[Tensor]:
-        """Return the outputs (N, units) of all layers for :meth:`features` (N, inputs + features); the last is Q.
+    def features(self, observations: Tensor) -> Tensor:
+        """Return the first layer's inputs (N, inputs + features) for observations (N, inputs)."""
+        return self._passed(observations, Buffers(self.device), ())[0]
 
-        With buffers the arrays are valid until the buffers' next use, and there are no gradients.
+    def activations(self, features: Tensor) -> list[Tensor]:
+        """Return the outputs (N, units) of all layers for :meth:`features` (N, inputs + features); the last is Q."""
+        return self._layers(features, [None] * len(self.weights))
+
+    def passed(self, observations: Tensor, buffers: Buffers, *others: "QNetwork") -> tuple[Tensor, list[list[Tensor]]]:
+        """Return the features of observations (N, inputs), and of this network and others the :meth:`activations`.
+
+        The others have the same features. Both halves of the rows are computed side by side, without gradients; the
+        arrays are valid until the buffers' next use.
         """
-        if buffers is None:
-            return self._layers(features, [None] * len(self.weights))
-        made = [buffers.of(f"layer {index}", len(features), len(bias)) for index, (_, bias) in enumerate(self.weights)]
+        return self._passed(observations, buffers, (self, *others))
+
+    def _passed(
+        self, observations: Tensor, buffers: Buffers, networks: Sequence["QNetwork"]
+    ) -> tuple[Tensor, list[list[Tensor]]]:
+        count, inputs = observations.shape
+        seen = buffers.of("seen", count, inputs + self.phases.numel())
+        waves = buffers.of("waves", count, self.phases.numel())
+        made = [
+            [buffers.of(f"network {number} layer {index}", count, len(bias)) for index, (_, bias) in layers]
+            for number, layers in enumerate(enumerate(network.weights) for network in networks)
+        ]
 
         def fill(rows: slice) -> None:
-            self._layers(features[rows], [into[rows] for into in made])
+            torch.sub(observations[rows], self.mean, out=seen[rows, :inputs]).div_(self.spread)
+            if self.phases.numel():
+                found = torch.mm(observations[rows, : self._waved], self.frequencies, out=waves[rows])
+                torch.mul(found.add_(self.phases).cos_(), _ROOT_TWO, out=seen[rows, inputs:])
+            for network, out in zip(networks, made, strict=True):
+                network._layers(seen[rows], [into[rows] for into in out])
 
-        self.in_halves(len(features), fill)
-        return made
+        self.in_halves(count, fill)
+        return seen, made
 
     def _layers(self, values: Tensor, out: Sequence[Tensor | None]) -> list[Tensor]:
         made = []
@@ -124,30 +147,11 @@ class QNetwork(nn.Module):
         else:
             work(slice(0, count))
 
-    def features(self, observations: Tensor, buffers: Buffers | None = None) -> Tensor:
-        """Return the first layer's inputs (N, inputs + features) for observations (N, inputs).
-
-        With buffers the array is valid until the buffers' next use.
-        """
-        buffers = Buffers(self.device) if buffers is None else buffers
-        count, inputs = observations.shape
-        seen = buffers.of("seen", count, inputs + self.phases.numel())
-        waves = buffers.of("waves", count, self.phases.numel())
-
-        def fill(rows: slice) -> None:
-            torch.sub(observations[rows], self.mean, out=seen[rows, :inputs]).div_(self.spread)
-            if self.phases.numel():
-                found = torch.mm(observations[rows, : self._waved], self.frequencies, out=waves[rows])
-                torch.mul(found.add_(self.phases).cos_(), _ROOT_TWO, out=seen[rows, inputs:])
-
-        self.in_halves(count, fill)
-        return seen
-
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the values Q (N, 10) of observations (N, inputs), without gradients."""
         with torch.no_grad():
-            features = self.features(torch.from_numpy(observations).to(self.device), self._memory)
-            return cast(NDArray[np.float32], self.activations(features, self._memory)[-1].cpu().numpy().copy())
+            _, (made,) = self.passed(torch.from_numpy(observations).to(self.device), self._memory)
+            return cast(NDArray[np.float32], made[-1].cpu().numpy().copy())
 
 
 def _drawn(values: NDArray[np.float64]) -> Tensor:
