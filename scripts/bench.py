@@ -57,8 +57,8 @@ def machine(load: float) -> str:
         except PackageNotFoundError:
             continue
     return (
-        f"Measured on {os.cpu_count()} cores, one thread, Python {platform.python_version()}, load average {load:.1f}"
-        f" before; {', '.join(found)}."
+        f"Measured on {os.cpu_count()} cores, one thread of BLAS and torch, Python {platform.python_version()},"
+        f" load average {load:.1f} before; {', '.join(found)}."
     )
 
 

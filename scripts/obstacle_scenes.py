@@ -216,7 +216,7 @@ def way_exists(learned: Learned, cell: Workcell) -> bool:
     """Return whether any way leads from the nominal start to the goal, as far as a grid of 10 mm can tell.
 
     The tool may be anywhere within 0.3 m of the path, in any of the path's attitudes, which may change from place to
-    place; the arm keeps its posture. It is no part of the method: where it finds nothing, no method could succeed.
+    place; the arm keeps its posture. It is no part of the method, and allows more than any method may do.
     """
     path, joints, arm, scene = learned.path, learned.joints, cell.arm, cell.scene
     chosen = np.unique(np.linspace(0, len(path) - 1, _ATTITUDES).round().astype(int))

@@ -139,7 +139,7 @@ class Learner:
         with torch.no_grad():
             targets = self._targets(batch, stop)
             states, state_of = distinct(batch.observations)
-            features, (layers,) = self.online.passed(self._tensor(states), self._forward)
+            features, (layers,) = self.online.passed(self._tensor(states), self._forward, self.online)
             index = self._tensor(state_of), self._tensor(batch.actions)
             chosen = layers[-1][index]
             loss = nn.functional.mse_loss(chosen, targets)
@@ -160,7 +160,7 @@ class Learner:
         follows = np.flatnonzero(~stop)
         # Features are not learned, so both networks have the same.
         after = self._tensor(batch.next_observations[follows])
-        _, ((*_, online), (*_, target)) = self.online.passed(after, self._forward, self.target)
+        _, ((*_, online), (*_, target)) = self.online.passed(after, self._forward, self.online, self.target)
         targets = self._tensor(batch.rewards.copy())
         rows = self._tensor(follows)
         going_on = torch.zeros(len(follows), dtype=torch.bool, device=self._device)

@@ -95,23 +95,20 @@ class QNetwork(nn.Module):
 
     def features(self, observations: Tensor) -> Tensor:
         """Return the first layer's inputs (N, inputs + features) for observations (N, inputs)."""
-        return self._passed(observations, Buffers(self.device), ())[0]
+        return self.passed(observations, Buffers(self.device))[0]
 
     def activations(self, features: Tensor) -> list[Tensor]:
         """Return the outputs (N, units) of all layers for :meth:`features` (N, inputs + features); the last is Q."""
         return self._layers(features, [None] * len(self.weights))
 
-    def passed(self, observations: Tensor, buffers: Buffers, *others: "QNetwork") -> tuple[Tensor, list[list[Tensor]]]:
-        """Return the features of observations (N, inputs), and of this network and others the :meth:`activations`.
+    def passed(
+        self, observations: Tensor, buffers: Buffers, *networks: "QNetwork"
+    ) -> tuple[Tensor, list[list[Tensor]]]:
+        """Return the :meth:`features` of observations (N, inputs), and each network's :meth:`activations` for them.
 
-        The others have the same features. Both halves of the rows are computed side by side, without gradients; the
+        The networks have these features too. Both halves of the rows are computed side by side, without gradients; the
         arrays are valid until the buffers' next use.
         """
-        return self._passed(observations, buffers, (self, *others))
-
-    def _passed(
-        self, observations: Tensor, buffers: Buffers, networks: Sequence["QNetwork"]
-    ) -> tuple[Tensor, list[list[Tensor]]]:
         count, inputs = observations.shape
         seen = buffers.of("seen", count, inputs + self.phases.numel())
         waves = buffers.of("waves", count, self.phases.numel())
@@ -150,7 +147,7 @@ class QNetwork(nn.Module):
     def values(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the values Q (N, 10) of observations (N, inputs), without gradients."""
         with torch.no_grad():
-            _, (made,) = self.passed(torch.from_numpy(observations).to(self.device), self._memory)
+            _, (made,) = self.passed(torch.from_numpy(observations).to(self.device), self._memory, self)
             return cast(NDArray[np.float32], made[-1].cpu().numpy().copy())
 
 
