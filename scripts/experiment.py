@@ -93,6 +93,8 @@ class Experiment(Settings):
     Attributes:
         page: the page with the tables, below the repository's root.
         folder: of the runs, below the root; "" to measure everything anew in a folder that is not kept.
+        results: JSON file below the root that keeps what runs came to where their folders do not, as on another
+            machine; "" for none. What it holds with the settings that are asked for is not measured again.
         jobs: how many runs are made side by side unless it is said.
         people: whether the cases are the sets of people's motions below the data folder, each demonstration held out.
         seeds: of the trainings.
@@ -110,6 +112,7 @@ class Experiment(Settings):
 
     page: Name
     folder: str = ""
+    results: str = ""
     jobs: Count = 2
     people: bool = False
     seeds: list[int] = Field(default_factory=list)

@@ -3,9 +3,10 @@
     python scripts/study.py ablations --cases shelf --variants default sign --seeds 0
 
 An experiment is a YAML file of scripts/experiments, or one of your own (scripts/experiment.py says what it holds).
-What is finished in its folder is not made again, and an interrupted training goes on from its checkpoint. The results
-go to a JSON file in that folder, and after every run as tables to the experiment's page. All is made with one seed
-before the next, so that an early end is fair. A training that does not learn is a result like any other.
+What is finished in its folder, or stands with the same settings in its file of results, is not made again, and an
+interrupted training goes on from its checkpoint. The results go to that JSON file, and after every run as tables to the
+experiment's page. All is made with one seed before the next, so that an early end is fair. A training that does not
+learn is a result like any other.
 
 Exit status 0 if every run begun came to a result, 1 if a command crashed (its output lies beside the run; the other
 runs are still made), 2 bad input.
@@ -31,7 +32,7 @@ from docs import replaced
 from koopdqn import console
 from koopdqn.app.exit_status import guard
 from koopdqn.errors import BadInputError, WorkFailedError, unknown_name
-from koopdqn.files import write_json, write_text
+from koopdqn.files import read_json, write_json, write_text
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 DATA: Final = Path("..") / "shared" / "data"
@@ -56,7 +57,7 @@ class Study:
         """
         self._name, self._experiment, self._root = name, experiment, root
         self._page = ROOT / experiment.page
-        self._known: dict[str, list[Result]] = {}
+        self._kept = ROOT / experiment.results if experiment.results else root / f"{name}.json"
         people = people_sets.sets_below(data) if experiment.people else {}
         seeds = {case: list(range(len(items))) for case, items in people.items()}
         for case, content in experiment.cases.items():
@@ -72,6 +73,7 @@ class Study:
             for case in content.cases or seeds
             if case in seeds and seed in (content.seeds or seeds[case]) and not content.kept
         ]
+        self._known = self._earlier()
 
     def chosen(self, **wanted: Sequence[str | int]) -> list[Run]:
         """Return the runs whose ``case``, ``variant`` and ``seed`` are wanted; an empty list is every one.
@@ -120,18 +122,14 @@ class Study:
         Raises:
             BadInputError: the page cannot be read or lacks a part, or see :meth:`results`.
         """
-        results, rows = self.results(), []
-        for each in results:
-            overrides = self._experiment.variants[each.line.partition("/")[0]].train
-            row = {"case": each.case, "variant": each.line, "seed": each.seed, "overrides": list(overrides)}
-            rows.append({**row, **each.values})
-        write_json(self._root / f"{self._name}.json", rows)
+        results = self.results()
+        write_json(self._kept, [each.row() for each in results])
         write_text(self._page, with_tables(self._text(), self._experiment, results))
 
     def measure(
         self, runs: Sequence[Run], minutes: float | None = None, jobs: int = 1, launch: Launch = side_by_side.launch
     ) -> int:
-        """Carry out what is left of runs, writing the tables after each; return the exit status.
+        """Carry out what is left of runs, writing results and tables after each; return the exit status.
 
         Raises:
             BadInputError: see :meth:`write`.
@@ -145,7 +143,8 @@ class Study:
             known = [text.format(values[name]) for name, text in said.items() if values.get(name) is not None]
             console.note(f"{run.name}: {', '.join(known) or 'done'}")
 
-        return side_by_side.measure(self._name.capitalize(), runs, finished, launch, minutes, jobs)
+        left = [run for run in runs if run.name not in self._known]
+        return side_by_side.measure(self._name.capitalize(), left, finished, launch, minutes, jobs)
 
     def finish(self, machine: str) -> None:
         """Write the tables, and what the page has beside them: what commands print, the machine, the pictures."""
@@ -159,6 +158,33 @@ class Study:
         for target, source in self._experiment.pictures.items():
             if (self._root / source).is_file():
                 shutil.copyfile(self._root / source, ROOT / target)
+
+    def _earlier(self) -> dict[str, list[Result]]:
+        """Return, by the runs' names, what stands in the file of results with today's settings and values.
+
+        Raises:
+            BadInputError: the file cannot be read.
+        """
+        if not self._experiment.results or not self._kept.is_file():
+            return {}
+        try:
+            rows = [Result.of_row(row) for row in read_json(self._kept, "the results")]
+        except (AttributeError, KeyError, TypeError) as error:
+            raise BadInputError(f"{self._kept}: must be results of an experiment, found {error!r}") from error
+        found: dict[str, list[Result]] = {}
+        for run in self.runs:
+            ours = {f"{run.variant}{below}" for below in ("", *(f"/{name}" for name in run.baselines))}
+            stored = [
+                row
+                for row in rows
+                if (row.case, row.seed) == (run.case, run.seed)
+                and row.line in ours
+                and row.settings == run.settings
+                and row.values.keys() == self._experiment.values.keys()
+            ]
+            if len(stored) == len(ours):
+                found[run.name] = stored
+        return found
 
     def _results_of(self, run: Run) -> list[Result]:
         if run.name not in self._known and run.finished():

@@ -5,9 +5,9 @@ settings than are asked for now is set aside, and made anew. Folders may have mo
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import people_sets
 from experiment import Case, Experiment, Variant, merged
@@ -98,12 +98,29 @@ class Result:
         line: name of the variant, or ``VARIANT/BASELINE``.
         seed: of the run; None of a kept result.
         values: by name; None where a value is not known or not defined.
+        settings: overrides of what it was made with, by command and name; none of a kept result.
     """
 
     case: str
     line: str
     seed: int | None
     values: dict[str, Any]
+    settings: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def row(self) -> dict[str, Any]:
+        """Return it as a row of a file of results."""
+        return {"case": self.case, "variant": self.line, "seed": self.seed, "settings": self.settings, **self.values}
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Self:
+        """Return what :meth:`row` returned.
+
+        Raises:
+            AttributeError, KeyError, TypeError: it is none.
+        """
+        known = ("case", "variant", "seed", "settings")
+        values = {name: value for name, value in row.items() if name not in known}
+        return cls(row["case"], row["variant"], row["seed"], values, row["settings"])
 
 
 @dataclass(frozen=True)
@@ -170,6 +187,17 @@ class Run:
         command, method = (by, ()) if by == "eval" else (IMITATE, (f"method={by}",))
         return Step(command, (*method, f"run={training}", *given), self.folder / "eval")
 
+    @property
+    def settings(self) -> dict[str, dict[str, str]]:
+        """The overrides that it is made with, by command and name, wherever folders and data lie."""
+        steps = {"train": self.trainings[0], self.measurement.command: self.measurement}
+        return {command: _settings(step.arguments) for command, step in steps.items()}
+
+    @property
+    def baselines(self) -> tuple[str, ...]:
+        """The names of what is shown below it."""
+        return tuple(self._variant.baselines)
+
     def finished(self) -> bool:
         """Return whether all of it came to a result."""
         return self.training.finished() and self.measurement.finished()
@@ -211,12 +239,12 @@ class Run:
             record["train"] = read_json(self.measurement.folder / "imitation.json", "the imitation report")
         if self.people:
             record["result"] = people_sets.beside(self.folder, self.training.folder)
-        below = [self._result(f"/{name}", {"eval": measured["baselines"][name]}) for name in self._variant.baselines]
+        below = [self._result(f"/{name}", {"eval": measured["baselines"][name]}) for name in self.baselines]
         return [self._result("", record), *below]
 
     def _result(self, below: str, record: Mapping[str, Any]) -> Result:
         values = {name: _known(record, paths) for name, paths in self.experiment.values.items()}
-        return Result(self.case, f"{self.variant}{below}", self.seed, values)
+        return Result(self.case, f"{self.variant}{below}", self.seed, values, self.settings)
 
     @property
     def _case(self) -> Case:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import study
 from experiment import load
-from experiment_parts import PAGE, Launcher, experiment, write
+from experiment_parts import CONTENT, PAGE, Launcher, experiment, write
 from helpers_shown import arc, recorded
 from study import Study, main, printed
 
@@ -82,7 +82,42 @@ def test_the_tables_grow_run_by_run(tmp_path: Path) -> None:
         ("knife", "default"),
         ("knife", "default/greedy"),
     ]
-    assert rows[2]["overrides"] == ["reward.shape=sign"]
+    assert rows[2]["settings"] == {
+        "train": {"task": "shelf", "seed": "1", "reward.shape": "sign"},
+        "eval": {"eval.seed": "40", "eval.baselines": "false"},
+    }
+
+
+def test_what_the_file_of_results_holds_is_not_measured_again(tmp_path: Path) -> None:
+    results = {"results": str(tmp_path / "kept.json")}
+    small, first = begun(tmp_path, **results), Launcher()
+    small.measure(small.runs[:3], launch=first)
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    (tmp_path / "runs").rename(tmp_path / "lost")
+    again, launcher = begun(tmp_path, **results), Launcher()
+    again.write()
+    assert (tmp_path / "page.md").read_text(encoding="utf-8") == page
+    again.measure(again.runs[:4], launch=launcher)
+    [training, _] = [arguments for _, arguments in launcher.calls]
+    assert {"task=knife", "reward.shape=sign"} <= set(training)
+    assert len(json.loads((tmp_path / "kept.json").read_text(encoding="utf-8"))) == 6
+    # Other settings, baselines or values: what is held does not answer what is asked for now.
+    for changed in (
+        {"train": ["seed={seed}", "train.max_steps=5"]},
+        {"variants": {"default": {"measure": ["eval.baselines=true"], "baselines": {"floor": "the floor"}}}},
+        {"values": {**CONTENT["values"], "seconds": "train.seconds"}},
+    ):
+        other, launcher = begun(tmp_path, **results, **changed), Launcher()
+        other.measure(other.runs[:1], launch=launcher)
+        assert [command for command, _ in launcher.calls] == ["train", "eval"]
+        (tmp_path / "runs").rename(tmp_path / f"lost-{len(list(tmp_path.iterdir()))}")
+
+
+@pytest.mark.parametrize("content", ["[1]", '{"case": "shelf"}', '[{"case": "shelf"}]', "3", "[[]]"])
+def test_results_that_are_none_are_bad_input(tmp_path: Path, content: str) -> None:
+    (tmp_path / "kept.json").write_text(content, encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"kept\.json: must be results of an experiment"):
+        begun(tmp_path, results=str(tmp_path / "kept.json"))
 
 
 def test_kept_results_stand_beside_what_is_measured(tmp_path: Path) -> None:
