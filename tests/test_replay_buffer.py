@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
+from koopdqn.rl.replay_buffer import BATCH_FIELDS, FIELDS, ReplayBuffer, Transitions
 
 
 def numbered(numbers: list[int]) -> Transitions:
@@ -55,7 +55,7 @@ def test_the_newest_are_kept_and_the_oldest_go(capacity: int, sizes: list[int]) 
 def test_fields_of_a_transition_stay_together(capacity: int, sizes: list[int], seed: int) -> None:
     drawn = filled(capacity, sizes).sample(np.random.default_rng(seed), 50)
     wanted = numbered([int(number) for number in drawn.observations[:, 0]])
-    for name in FIELDS:
+    for name in BATCH_FIELDS:
         np.testing.assert_array_equal(getattr(drawn, name), getattr(wanted, name))
         assert getattr(drawn, name).dtype == getattr(wanted, name).dtype
 
@@ -84,11 +84,11 @@ def test_a_drawn_state_comes_whole_and_together(capacity: int, sizes: list[int],
     buffer.add(data)
     drawn = buffer.sample_states(np.random.default_rng(seed), count)
     numbers = drawn.observations[:, 0].astype(int)
-    for name in FIELDS:
+    for name in BATCH_FIELDS:
         np.testing.assert_array_equal(getattr(drawn, name), getattr(data, name)[numbers])
     held, begin, states = buffer.held(), 0, 0
     while begin < len(numbers):
-        wanted = held.observations[(held.poses == drawn.poses[begin]).all(axis=1), 0].astype(int)
+        wanted = held.observations[(held.poses == data.poses[numbers[begin]]).all(axis=1), 0].astype(int)
         assert set(numbers[begin : begin + len(wanted)]) == set(wanted)
         begin, states = begin + len(wanted), states + 1
     assert states == count

@@ -15,7 +15,7 @@ from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import Adam, arrays_of, below, distinct, load_arrays
 from koopdqn.rl.network import QNetwork, linear
-from koopdqn.rl.replay_buffer import Transitions
+from koopdqn.rl.replay_buffer import Batch
 from koopdqn.rl.settings import ActorCriticSettings
 from koopdqn.tasks.actions import FIRST_TWIST
 from koopdqn.tasks.twists import in_balls
@@ -138,7 +138,7 @@ class ActorCritic:
         ranking[:, FIRST_TWIST] = _FIRST_CHOICE
         return ranking
 
-    def update(self, batch: Transitions) -> float:
+    def update(self, batch: Batch) -> float:
         """Make one update of the critics and, when it is due, of actor and targets; return the critics' loss."""
         assert batch.twists is not None, "transitions of continuous actions"
         states, state_of = distinct(batch.observations)
@@ -156,7 +156,7 @@ class ActorCritic:
                 torch._foreach_lerp_(averaged, now, self.settings.target_rate)
         return float(loss.detach())
 
-    def _targets(self, batch: Transitions, count: int) -> Tensor:
+    def _targets(self, batch: Batch, count: int) -> Tensor:
         """Return the targets (count,) of a batch's first transitions."""
         settings = self.settings
         stop = (batch.terminated if settings.bootstrap_undone else batch.terminated | batch.undone)[:count]
@@ -176,7 +176,7 @@ class ActorCritic:
             targets[rows] = smoothed_targets(targets[rows], going_on, first, second, settings.gamma)
         return targets
 
-    def _update_actor(self, features: Tensor, batch: Transitions, state_of: np.ndarray) -> None:
+    def _update_actor(self, features: Tensor, batch: Batch, state_of: np.ndarray) -> None:
         """Move the actor up the first critic's gradient and, by ``imitation``, toward each state's best action."""
         raw = self.online.activations(features)[-1]
         action = shortened(raw)
@@ -236,7 +236,7 @@ class ActorCritic:
         }
 
 
-def best_actions(batch: Transitions, state_of: np.ndarray) -> tuple[NDArray[np.float32], np.ndarray]:
+def best_actions(batch: Batch, state_of: np.ndarray) -> tuple[NDArray[np.float32], np.ndarray]:
     """Return the right action (B, 3 or 6) of greatest reward in each state, and whether (B,) the state has a right one.
 
     Args:

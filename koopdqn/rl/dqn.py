@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.rl.network import Buffers, QNetwork
-from koopdqn.rl.replay_buffer import Transitions
+from koopdqn.rl.replay_buffer import Batch
 from koopdqn.rl.settings import AgentSettings
 
 _BETA1: Final = 0.9
@@ -130,7 +130,7 @@ class Learner:
         """Return by what (N, 10) an action is chosen: its value."""
         return self.online.values(observations)
 
-    def update(self, batch: Transitions) -> float:
+    def update(self, batch: Batch) -> float:
         """Make one update from a batch and return its loss (mean squared error).
 
         Adjacent transitions of one state share its forward pass.
@@ -154,7 +154,7 @@ class Learner:
     def _tensor(self, values: np.ndarray) -> Tensor:
         return torch.from_numpy(values).to(self._device)
 
-    def _targets(self, batch: Transitions, stop: NDArray[np.bool_]) -> Tensor:
+    def _targets(self, batch: Batch, stop: NDArray[np.bool_]) -> Tensor:
         """Return the targets (N,) of a batch; where ``stop`` (N,) is true they do not bootstrap."""
         # Most actions of a state are wrong, and their targets do not bootstrap.
         follows = np.flatnonzero(~stop)

@@ -15,8 +15,8 @@ from koopdqn.tasks.twists import twists_between
 
 
 @dataclass(frozen=True)
-class Transitions:
-    """A batch of transitions.
+class Batch:
+    """Of transitions what an update learns from.
 
     Attributes:
         observations: (N, inputs).
@@ -24,13 +24,7 @@ class Transitions:
         rewards: (N,).
         next_observations: (N, inputs) observations after the actions.
         terminated: (N,) whether the goal was reached.
-        truncated: (N,) whether the episode was cut there; the value beyond still counts.
         undone: (N,) whether the action was wrong and undone.
-        poses: (N, 7) before the actions.
-        starts: (N, 7) where their episodes began.
-        steps: (N,) steps made before in the episodes.
-        sources: (N,) sources of the rewards (:data:`koopdqn.intent.reward.SOURCES`).
-        answers: (N,) number of the answer that the reward comes from, or −1.
         twists: (N, 3 or 6) the actions as twists; None where Table 1's are all there are.
     """
 
@@ -39,17 +33,34 @@ class Transitions:
     rewards: NDArray[np.float32]
     next_observations: NDArray[np.float32]
     terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
     undone: NDArray[np.bool_]
+    twists: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transitions(Batch):
+    """Transitions.
+
+    Attributes:
+        truncated: (N,) whether the episode was cut there; the value beyond still counts.
+        poses: (N, 7) before the actions.
+        starts: (N, 7) where their episodes began.
+        steps: (N,) steps made before in the episodes.
+        sources: (N,) sources of the rewards (:data:`koopdqn.intent.reward.SOURCES`).
+        answers: (N,) number of the answer that the reward comes from, or −1.
+    """
+
+    truncated: NDArray[np.bool_]
     poses: NDArray[np.float64]
     starts: NDArray[np.float64]
     steps: NDArray[np.int64]
     sources: NDArray[np.int64]
     answers: NDArray[np.int64]
-    twists: NDArray[np.float32] | None = None
 
 
-FIELDS = tuple(name for name in Transitions.__dataclass_fields__ if name != "twists")
+BATCH_FIELDS, FIELDS = (
+    tuple(name for name in kind.__dataclass_fields__ if name != "twists") for kind in (Batch, Transitions)
+)
 
 
 @dataclass(frozen=True)
@@ -168,11 +179,11 @@ class ReplayBuffer:
             values[index] = getattr(transitions, name)
         self.added += count
 
-    def sample(self, rng: np.random.Generator, count: int) -> Transitions:
+    def sample(self, rng: np.random.Generator, count: int) -> Batch:
         """Return ``count`` transitions drawn uniformly, with replacement."""
-        return self.at(self.draw(rng, count))
+        return self._batch(self.draw(rng, count))
 
-    def sample_states(self, rng: np.random.Generator, count: int) -> Transitions:
+    def sample_states(self, rng: np.random.Generator, count: int) -> Batch:
         """Return all transitions of ``count`` states, drawn with replacement in proportion to their transitions.
 
         Transitions of a state that were stored together are adjacent, in the buffer as in the result.
@@ -186,16 +197,17 @@ class ReplayBuffer:
         alike = poses[:, 0].take(near) == poses[drawn, 0][:, None]
         rows, states = near[alike], np.repeat(drawn, alike.sum(axis=1))
         same = (poses.take(rows, axis=0) == poses.take(states, axis=0)).all(axis=1)
-        return self.at(rows if same.all() else rows[same])
+        return self._batch(rows if same.all() else rows[same])
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Return the rows (count,) of transitions drawn uniformly, with replacement."""
         return rng.integers(len(self), size=count)
 
-    def at(self, index: np.ndarray) -> Transitions:
-        """Return the transitions in rows (M,)."""
+    def _batch(self, index: np.ndarray) -> Batch:
+        """Return what an update learns from of the transitions in rows (M,)."""
+        names = [*BATCH_FIELDS, *self._arrays.keys() & {"twists"}]
         # Twice as fast as indexing.
-        return Transitions(**{name: values.take(index, axis=0) for name, values in self._arrays.items()})
+        return Batch(**{name: self._arrays[name].take(index, axis=0) for name in names})
 
     def held(self) -> Transitions:
         """Return a copy of all transitions."""

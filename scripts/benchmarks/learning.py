@@ -22,7 +22,7 @@ from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.dqn import Learner
-from koopdqn.rl.replay_buffer import Transitions
+from koopdqn.rl.replay_buffer import Batch
 from koopdqn.tasks.rollout import Controller
 from koopdqn.tasks.workcell import Workcell, open_workcell
 from koopdqn.threads import in_halves
@@ -87,7 +87,7 @@ def update_row(prepared: Prepared) -> Row:
     return Row("an update of the network", mine * 1e3, "ms", "its bare matrix products", theirs * 1e3, None, 0.7, note)
 
 
-def products(learner: Learner, batch: Transitions) -> Callable[[], None]:
+def products(learner: Learner, batch: Batch) -> Callable[[], None]:
     """Return work that does the matrix products of an update with a batch, in halves as it does, and nothing else.
 
     Both networks' values of what follows, the online one's of the states, and the gradients of its weights and of what

@@ -13,7 +13,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.dqn import Learner
 from koopdqn.rl.network import observe, size
 from koopdqn.rl.policy import Policy
-from koopdqn.rl.replay_buffer import FIELDS, ReplayBuffer, Transitions
+from koopdqn.rl.replay_buffer import BATCH_FIELDS, Batch, ReplayBuffer, Transitions
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import Episodes
@@ -99,13 +99,13 @@ class Sqil:
     def _policy(self) -> Policy:
         return Policy(deepcopy(self.learner.policy_network), self._workcell.task, self._frame)
 
-    def batch(self) -> Transitions:
+    def batch(self) -> Batch:
         """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own."""
         half = self._agent.batch
         rows = self._draw.integers(len(self._shown.actions), size=half)
         own = self._replay.sample(self._draw, half)
-        return Transitions(
-            **{name: np.concatenate([getattr(self._shown, name)[rows], getattr(own, name)]) for name in FIELDS}
+        return Batch(
+            **{name: np.concatenate([getattr(self._shown, name)[rows], getattr(own, name)]) for name in BATCH_FIELDS}
         )
 
     def _begin(self, index: int) -> None:
