@@ -24,9 +24,8 @@ if TYPE_CHECKING:
     from koopdqn.tasks.shelf import ShelfTask
     from koopdqn.tasks.workcell import Workcell
 
-# MuJoCo reads this once, at its first import; unset it means GLFW, which needs a display.
-if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-    os.environ.setdefault("MUJOCO_GL", "egl")
+# MuJoCo reads how to draw once, at its first import; this chooses it, whichever test comes first.
+import_module("koopdqn.robot")
 
 # Whoever runs the tests may ignore hangups, as nohup does; what the tests start would inherit that.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
@@ -53,6 +52,8 @@ _UNDRAWN = (
     "test_untrusted_run",
 )
 
+NO_OPENGL = "OpenGL's libraries are missing here, see `koopdqn doctor`"
+
 # They take longest; begun last, they would leave the other workers idle.
 _LONGEST = (
     "test_untrusted_run",
@@ -78,10 +79,15 @@ settings.load_profile("koopdqn")
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "slow: learns a whole task; run by `make learn` alone")
+    config.addinivalue_line("markers", "draws: needs OpenGL; skipped where its libraries are missing")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest modules; the Makefile keeps pytest-xdist from sorting them by their number of tests."""
+    if os.environ.get("MUJOCO_GL") == "disable":
+        for item in items:
+            if item.get_closest_marker("draws"):
+                item.add_marker(pytest.mark.skip(reason=NO_OPENGL))
     place = {name: number for number, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 

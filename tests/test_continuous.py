@@ -263,6 +263,7 @@ def made() -> Iterator[gymnasium.Env[Any, Any]]:
 
 
 @pytest.mark.usefixtures("no_display")
+@pytest.mark.draws
 def test_both_checkers_are_silent(made: gymnasium.Env[Any, Any]) -> None:
     assert made.action_space == gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
     with warnings.catch_warnings():

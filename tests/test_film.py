@@ -14,6 +14,7 @@ from koopdqn.view import film
 from koopdqn.view.motions import nearest_motion
 
 
+@pytest.mark.draws
 def test_a_film_shows_both_arms_move_and_a_cursor_that_goes_on() -> None:
     learned, demonstrated = motions()[0], motions()[-1]
     first, middle, last = film.film_frames(shelf().scene, learned, demonstrated, 3)
@@ -27,6 +28,7 @@ def test_a_film_shows_both_arms_move_and_a_cursor_that_goes_on() -> None:
 
 
 @pytest.mark.parametrize("name", ["film.mp4", "film.gif"])
+@pytest.mark.draws
 def test_a_film_lasts_as_long_as_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(film, "SECONDS", 0.5)
     done: list[float] = []

@@ -60,6 +60,7 @@ def made() -> Iterator[gymnasium.Env[Any, Any]]:
 
 
 @pytest.mark.usefixtures("no_display")
+@pytest.mark.draws
 def test_both_checkers_are_silent(made: gymnasium.Env[Any, Any]) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -219,6 +220,7 @@ def test_features_keep_what_is_observed_and_waves_vary_as_much() -> None:
     assert torch.equal(extractor(elsewhere)[:, 5:], features[:, 5:])
 
 
+@pytest.mark.draws
 def test_pictures_show_the_arm_where_it_is(env_parts: EnvironmentParts) -> None:
     environment = KoopmanVectorEnv(env_parts, 2, render_mode="rgb_array")
     environment.reset(seed=0)

@@ -234,6 +234,7 @@ def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.draws
 def test_motion_is_drawn_with_its_paths_in_the_colours_of_the_plots(
     workcell: "Workcell", demonstrations: "Demonstrations", paths: "list[Array]"
 ) -> None:

@@ -1,12 +1,14 @@
+import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 import pytest
+from conftest import NO_OPENGL
 
 from koopdqn.errors import WorkFailedError
-from koopdqn.robot import VARIABLE
+from koopdqn.robot import DISABLED, VARIABLE
 from koopdqn.robot.render import Camera, Ghost, Line, Sphere
 from koopdqn.robot.view import View, choose_view
 
@@ -25,6 +27,8 @@ def view(scene: "Scene", motion: "Array") -> View:
 
 @pytest.fixture(scope="module")
 def camera(scene: "Scene") -> Iterator[Camera]:
+    if os.environ.get(VARIABLE) == DISABLED:
+        pytest.skip(NO_OPENGL)
     with Camera(scene, SIZE) as opened:
         yield opened
 

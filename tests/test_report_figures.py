@@ -141,6 +141,7 @@ def test_a_sweep_is_drawn_with_quantities_that_nobody_measured(tmp_path: Path) -
     check_drawn(tmp_path, lambda path: plot_sweep(path, "Sweep", variants))
 
 
+@pytest.mark.draws
 def test_poses_on_the_arm(tmp_path: Path, workcell: "Workcell", demonstrations: "Demonstrations") -> None:
     item = demonstrations.items[0]
     view = best_view(workcell.scene, item)

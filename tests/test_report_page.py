@@ -195,6 +195,7 @@ def built(tmp_path_factory: pytest.TempPathFactory, folder: Path) -> Built:
     return Built(where, read_json(where / "report.json", "the report"), len(told))
 
 
+@pytest.mark.draws
 def test_the_report_says_what_it_shows_and_what_it_lacks(built: Built, folder: Path) -> None:
     content = ReportFile.model_validate(built.content)
     assert [(run.task, run.preset, run.seed) for run in content.runs] == [("shelf", DEFAULT, 0), ("shelf", DEFAULT, 1)]

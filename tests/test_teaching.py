@@ -53,6 +53,7 @@ def answer(session: Session, key: str) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("settings", [ASKING, WHOLE], ids=["short", "whole"])
+@pytest.mark.draws
 def test_a_training_is_taught_through_the_keys(tmp_path: Path, settings: tuple[str, ...]) -> None:
     folder = tmp_path / "run"
     with begin(folder, settings) as session:
@@ -134,6 +135,7 @@ def test_keys_typed_ahead_answer_nothing_and_a_signal_loses_nothing(tmp_path: Pa
     assert len(answers(folder)) == 1
 
 
+@pytest.mark.draws
 def test_without_colour_the_screen_says_the_same(tmp_path: Path) -> None:
     with begin(tmp_path / "run", environment={"NO_COLOR": "1"}) as session:
         session.wait("m model")

@@ -104,6 +104,7 @@ def test_a_magnified_motion_keeps_its_direction(seed: int, times: float) -> None
     assert rotation_distance(far, before) < 1e-6
 
 
+@pytest.mark.draws
 def test_the_picture_shows_the_motion_larger_and_marks_where_things_are(workcell: Workcell, asked: Question) -> None:
     times = magnification(asked)
     assert times * 0.0021 == pytest.approx(0.08, rel=0.01)
