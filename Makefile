@@ -43,8 +43,9 @@ demo: $(STAMP) ## Learn the shelf task from nothing, then measure what was learn
 	$(BIN)/koopdqn train task=shelf seed=0
 	$(BIN)/koopdqn eval
 
-# Two workers with one thread each: on few cores, threads that compete cost more than they give.
-FAST_TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+# Two workers with one thread each: on few cores, threads that compete cost more than they give. What the tests start would
+# compile the package anew each time where Python is told to keep no bytecode.
+FAST_TESTS := env -u PYTHONDONTWRITEBYTECODE OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP) ## Run the fast tests
 	$(FAST_TESTS)

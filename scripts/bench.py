@@ -69,6 +69,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--pykoopman", type=Path, metavar="PYTHON", help="an interpreter that has pykoopman")
     options = parser.parse_args(arguments)
     load = os.getloadavg()[0]
+    # What is measured starts as on most machines, where Python keeps the bytecode of the start before.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory(prefix="koopdqn-bench-") as folder:
         rows = []
