@@ -134,10 +134,7 @@ def _demos(files: str | Path | Sequence[str | Path] | None) -> list[str]:
     """Return the override that names files of demonstrations, in Hydra's grammar."""
     if files is None:
         return []
+    from koopdqn.app.hydra.overrides import literal
+
     named = [files] if isinstance(files, str | Path) else files
-    return [f"demos=[{','.join(_quoted(str(each)) for each in named)}]"]
-
-
-def _quoted(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
+    return [f"demos=[{','.join(literal(str(each)) for each in named)}]"]

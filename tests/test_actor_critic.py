@@ -110,6 +110,19 @@ def test_the_actor_waits_for_the_critics(settings: ActorCriticSettings) -> None:
     assert moved == [False, False, True, False, False, True]
 
 
+def test_the_targets_wait_as_they_are_told(settings: ActorCriticSettings) -> None:
+    learner = ActorCritic(5, np.ones(3), settings.model_copy(update={"target_every": 2}), np.random.default_rng(0))
+    before = learner.state()
+    moved = []
+    for _ in range(4):
+        learner.update(batch(np.random.default_rng(2)))
+        now = learner.state()
+        names = ("target.layers.0.weight", "target_critics.weight1")
+        moved.append([not np.array_equal(now[name], before[name]) for name in names])
+        before = now
+    assert moved == [[False, False], [True, True]] * 2
+
+
 def test_a_restored_learner_goes_on_as_one_never_stopped(settings: ActorCriticSettings) -> None:
     whole, other = (ActorCritic(5, np.ones(3), settings, np.random.default_rng(0)) for _ in range(2))
     batches = [batch(np.random.default_rng(index)) for index in range(6)]

@@ -11,6 +11,7 @@ from small_run import SMALL
 import koopdqn
 from koopdqn.app import cli
 from koopdqn.errors import BadInputError
+from koopdqn.resources import conf_dir
 
 
 def test_importing_koopdqn_loads_neither_torch_nor_mujoco() -> None:
@@ -58,3 +59,11 @@ def test_training_from_python_gives_the_networks_of_the_command_line(tmp_path: P
     environment = koopdqn.make_env(config, demonstrations, intent)
     assert environment.reset().first()
     assert environment.step(0).reward is not None
+
+
+@pytest.mark.parametrize("name", ["my dir", "a,b", "it's", "50%"])
+def test_a_folder_of_own_options_may_have_any_name(name: str, tmp_path: Path) -> None:
+    option = tmp_path / name / "intent" / "mine.yaml"
+    option.parent.mkdir(parents=True)
+    option.write_text((conf_dir() / "intent" / "pose.yaml").read_text().replace("name: pose", "name: mine"))
+    assert koopdqn.load_config("intent=mine", config_dir=tmp_path / name).intent.name == "mine"

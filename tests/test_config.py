@@ -16,7 +16,7 @@ from koopdqn import resources
 from koopdqn import settings as settings_module
 from koopdqn.app.hydra.completion import complete
 from koopdqn.app.hydra.folder import require_new, require_writable
-from koopdqn.app.hydra.overrides import prepare
+from koopdqn.app.hydra.overrides import literal, prepare
 from koopdqn.errors import BadInputError
 from koopdqn.settings import Count, Counts, Fraction, PathText, Positive, Settings, Vector3, load_settings, validate
 
@@ -253,6 +253,20 @@ class TestOverrides:
             f"hydra.run.dir={tmp_path}",
             "hydra.output_subdir=null",
         ]
+
+    @pytest.mark.parametrize("name", ["a,b", "it's", "${seed}", "1e3"])
+    def test_a_run_in_a_folder_of_any_name_is_found(self, name: str, tmp_path: Path) -> None:
+        from hydra.core.override_parser.overrides_parser import OverridesParser
+
+        folder = tmp_path / name
+        folder.mkdir()
+        record(folder, ["task=knife", "command=train"])
+        given = f"run={literal(str(folder))}"
+        keys = ("run", "out", "hydra.run.dir")
+        for command, asked in (("train", [given]), ("eval", [given]), ("compare", [given, given])):
+            found = OverridesParser.create().parse_overrides(prepare(command, asked).overrides)
+            assert {each.value() for each in found if each.key_or_group in keys} == {str(folder)}
+            assert not any(each.is_sweep_override() for each in found)
 
     def test_another_oracle_goes_on_without_the_settings_of_the_first(self, tmp_path: Path) -> None:
         record(tmp_path, ["oracle=terminal", "oracle.teacher=anna", "seed=4", "command=train"])

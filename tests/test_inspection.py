@@ -17,6 +17,7 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.inspection import compare, follow
 from koopdqn.demonstrations.schema import InspectionFile
+from koopdqn.paths import to_count
 from koopdqn.robot.arm import Arm
 
 
@@ -114,6 +115,19 @@ def test_the_odd_one_and_the_double_are_found() -> None:
     assert beside.odd == [5]
     assert [(pair.first, pair.second) for pair in beside.duplicates] == [(2, 6)]
     assert beside.spread_mm[0] > beside.spread_mm[-1]
+
+
+def test_the_mean_of_others_is_that_of_those_that_follow() -> None:
+    items = [recorded(arc(0.004 * index**2)) for index in range(5)]
+    paths = [1e3 * to_count(item.poses, 51)[:, :3] for item in items]
+    for others in range(1, 5):
+        apart = [
+            np.linalg.norm(
+                paths[i] - np.mean([paths[(i + k) % 5] for k in range(1, others + 1)], axis=0), axis=1
+            ).mean()
+            for i in range(5)
+        ]
+        assert compare(items).left_out_mm[others - 1] == pytest.approx(np.mean(apart), rel=1e-9)
 
 
 def test_what_is_alike_is_enough_and_one_alone_is_not() -> None:

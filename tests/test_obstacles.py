@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers_shelf import PARTS, reward_of, shelf, taught
+from parts import Clerk
 from pydantic import ValidationError
 
 from koopdqn import pose
+from koopdqn.app import api
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described
@@ -19,6 +21,8 @@ from koopdqn.intent import detour as planning
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.intent.detour import around_obstacles, detour
 from koopdqn.intent.reward import IntentReward
+from koopdqn.oracles.base import Question
+from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.settings import load_settings
 from koopdqn.tasks.obstacles import Obstacle, read_obstacles
 from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
@@ -48,6 +52,26 @@ def _greedy(cell: Workcell, reward: IntentReward, *, unbent: bool = False) -> Ep
     assert joints is not None
     controller = Greedy(reward.model.unbent if unbent else reward.model, cell.task)
     return roll_out(controller, cell.task, cell.reachability, start[None], joints[None], 800)[0]
+
+
+@pytest.mark.parametrize("asked", ["in an environment", "once the budget is spent"])
+def test_the_scripted_person_would_go_around_obstacles(asked: str) -> None:
+    if asked == "in an environment":
+        lamp = "{name: lamp, shape: sphere, center_m: [0.577, -0.085, 0.59], radius_m: 0.03}"
+        config = api.load_config("task=shelf", "demo.count=3", f"++task.obstacles=[{lamp}]")
+        shown = api.generate(config)
+        parts = api.environment_parts(config, shown, api.fit(config, shown))
+        reward, feedback = parts.reward, Feedback(parts.reward, parts.oracle, PARTS.feedback)
+    else:
+        _, reward = _among()
+        feedback = Feedback(reward, Clerk(lambda question: False), PARTS.feedback, Budget(0, "scripted"))
+    start = reward.task.nominal_start
+    path = reward.model.intended_paths(start[None], 800, reward.task.step_m)[:, 0]
+    said = []
+    for row in range(0, len(path) - 1, 10):
+        question = Question(0, row, path[row], start, 0, path[row + 1], path[row + 1], "far")
+        said.append(feedback.ask(question, reward.evaluate_actions(path[[row]], np.array([row]), start[None]), 0).right)
+    assert all(said)
 
 
 @pytest.mark.parametrize(

@@ -185,6 +185,15 @@ def test_a_known_motion_takes_hardly_more_than_its_least_time() -> None:
     assert max(float(shares.max()) for shares in motion.used(limits).values()) <= 1.0
 
 
+def test_a_motion_shorter_than_a_period_is_its_ends() -> None:
+    joints = np.zeros((3, 6))
+    joints[:, 0] = [0.0, 0.001, 0.002]
+    limits = Limits(np.full(6, 3.0), np.full(6, 40.0), np.full(6, 5000.0), 10.0)
+    motion = timed(joints, shelf().arm.forward, limits, 0.1)
+    np.testing.assert_allclose(motion.joints[[0, -1], 0], [0.0, 0.002], atol=1e-12)
+    assert max(float(shares.max()) for shares in motion.used(limits).values()) <= 1.0
+
+
 def test_what_cannot_be_played_is_refused_with_place_and_reason() -> None:
     with pytest.raises(
         WorkFailedError, match=r"must reach the goal from \[0.53, -0.2, 0.4\] m, found step_limit after 5"

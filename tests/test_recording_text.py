@@ -202,6 +202,18 @@ def test_a_cell_that_is_no_number_is_named(tmp_path: Path, odd: str) -> None:
         poses_in(path)
 
 
+def test_a_decimal_comma_in_quotes_is_named(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv", "time tx ty tz qw qx qy qz", TIMES, POSES)
+    lines = path.read_text().splitlines()
+    path.write_text(
+        "\n".join(
+            [lines[0], *(",".join(f'"{cell.replace(".", ",")}"' for cell in line.split(",")) for line in lines[1:])]
+        )
+    )
+    with pytest.raises(BadInputError, match=r"line 2: .* must be a finite number, found '"):
+        poses_in(path)
+
+
 def test_a_last_line_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
     path = written(tmp_path / "log.csv", "time tx ty tz qw qx qy qz", TIMES, POSES)
     path.write_text(path.read_text()[:-30])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed, explain
+from koopdqn.app.hydra.overrides import literal
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import generate as generate_demonstrations
 from koopdqn.errors import BadInputError
@@ -56,7 +57,7 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
     Raises:
         BadInputError: a key or option is unknown, a value breaks a rule, or ``demos=`` cannot be learned from.
     """
-    own = [] if config_dir is None else [f"hydra.searchpath=[{Path(config_dir).resolve().as_uri()}]"]
+    own = [] if config_dir is None else [f"hydra.searchpath=[{literal(f'file://{Path(config_dir).resolve()}')}]"]
     try:
         config = Configuration.load(composed([*own, "out=.", *overrides]))
     except Exception as error:
@@ -190,6 +191,7 @@ def environment_parts(
         BadInputError: questions are to be put off, which nothing but koopdqn's own training does.
     """
     from koopdqn.envs.batch import EnvironmentParts
+    from koopdqn.rl.around import answering
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.starts import StartSampler
 
@@ -205,7 +207,7 @@ def environment_parts(
     return EnvironmentParts(
         workcell,
         reward,
-        oracle or config.oracle.open(workcell, config.inputs.seed, Path()),
+        oracle or answering(config.oracle.open(workcell, config.inputs.seed, Path()), config.oracle, reward.model),
         limit,
         config.feedback,
         Budget(config.oracle.budget, config.oracle.when_spent),

@@ -166,8 +166,8 @@ def _hydra(flag: str, short: str | None, kind: object, text: str, metavar: str |
 
 _OVERRIDES: Final = typer.Argument(
     metavar="OVERRIDE",
-    help="Config overrides: [cyan]group=option[/] or [cyan]key=value[/]; groups are task, person, intent, "
-    "trust, oracle, agent, robot, actions, preset. [cyan]out=DIR[/] names the run folder, [cyan]seed=N[/] fixes everything.",
+    help="Config overrides: [cyan]group=option[/] or [cyan]key=value[/]; groups are task, person, intent, trust, "
+    "oracle, agent, robot, actions, preset. [cyan]out=DIR[/] names the run folder, [cyan]seed=N[/] fixes everything.",
     autocompletion=_complete,
     show_default=False,
 )

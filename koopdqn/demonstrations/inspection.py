@@ -146,13 +146,16 @@ def compare(items: Sequence[Demonstration]) -> Together:
         return Together([], [], [], [], [])
     paths = np.array([1e3 * to_count(item.poses, _PLACES)[:, POSITION] for item in items])
     count = len(paths)
-    pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
-    same = [Pair(first=i, second=j) for i, j in pairs if _apart(paths[i], paths[j]) < _SAME_MM]
+    same = [
+        Pair(first=i, second=i + 1 + int(j))
+        for i in range(count)
+        for j in np.flatnonzero(_apart(paths[i + 1 :], paths[i]) < _SAME_MM)
+    ]
     curve, deviation = [], np.zeros(count)
+    sums = np.cumsum(np.concatenate([np.zeros_like(paths[:1]), paths, paths]), axis=0)
     for others in range(1, count):
         # Of so many others those that follow in the order: each demonstration is left out once, each used as often.
-        chosen = [[(index + shift) % count for shift in range(1, others + 1)] for index in range(count)]
-        deviation = np.array([_apart(paths[index], paths[rows].mean(axis=0)) for index, rows in enumerate(chosen)])
+        deviation = _apart(paths, (sums[1 + others : 1 + others + count] - sums[1 : 1 + count]) / others)
         curve.append(float(deviation.mean()))
     rest = [float(np.median(np.delete(deviation, index))) for index in range(count)]
     odd = [i for i in range(count) if count > 3 and deviation[i] > max(_ODD * rest[i], _FINE_MM)]
@@ -162,8 +165,9 @@ def compare(items: Sequence[Demonstration]) -> Together:
     return Together(deviation.tolist(), same, odd, spread[places].tolist(), curve)
 
 
-def _apart(a: Array, b: Array) -> float:
-    return float(np.linalg.norm(a - b, axis=1).mean())
+def _apart(paths: Array, others: Array) -> Array:
+    """Return the mean distances (N,) of paths (N, P, 3) from others of the same shape, or from one (P, 3)."""
+    return np.asarray(np.linalg.norm(paths - others, axis=2).mean(axis=1))
 
 
 def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str) -> list[Finding]:

@@ -205,6 +205,8 @@ def _averaged(times: Array, grid: Array, span: float, period: float) -> Array:
         place = place[0] + (sums[width:] - sums[:-width]) / width
     sampled = place[::fine]
     moving = np.flatnonzero((sampled > grid[0] + 1e-9) & (sampled < grid[-1] - 1e-9))
+    if not len(moving):
+        return grid[[0, -1]]
     kept: Array = np.clip(sampled[moving[0] - 1 : moving[-1] + 2], grid[0], grid[-1])
     kept[0], kept[-1] = grid[0], grid[-1]
     return kept

@@ -151,6 +151,7 @@ class ActorCritic:
         self.updates += 1
         if self.updates % self.settings.actor_every == 0:
             self._update_actor(features, batch, state_of)
+        if self.updates % self.settings.target_every == 0:
             for online, target in ((self.online, self.target), (self._critics, self._target_critics)):
                 averaged, now = ([each.detach() for each in network.parameters()] for network in (target, online))
                 torch._foreach_lerp_(averaged, now, self.settings.target_rate)

@@ -138,4 +138,9 @@ class PersonAround(Oracle):
 
 def answering(oracle: Oracle, settings: OracleSettings, model: IntentModel) -> Oracle:
     """Return an oracle made fit for a bent intent, if it stands in for a person and knows nothing of obstacles."""
-    return PersonAround(oracle, model) if isinstance(model, BentIntent) and settings.simulated else oracle
+    return led_around(oracle, model) if settings.simulated else oracle
+
+
+def led_around(person: Oracle, model: IntentModel) -> Oracle:
+    """Return a scripted person who would go as an intent is bent, if it is."""
+    return PersonAround(person, model) if isinstance(model, BentIntent) else person

@@ -10,6 +10,7 @@ from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
+from koopdqn.rl.around import led_around
 from koopdqn.rl.replay_buffer import ReplayBuffer
 from koopdqn.tasks.actions import FIRST_TWIST
 
@@ -90,7 +91,7 @@ class Feedback:
         self._oracle = oracle
         self._settings = settings
         self._budget = budget
-        self._substitute = ScriptedOracle(reward.task)
+        self._substitute = led_around(ScriptedOracle(reward.task), reward.model)
         self._replay = replay
 
     @property

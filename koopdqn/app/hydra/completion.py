@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from koopdqn.app.hydra.overrides import PATH_KEYS
+from koopdqn.app.hydra.overrides import PATH_KEYS, literal
 from koopdqn.resources import conf_dir
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _group_options() -> Iterator[str]:
 def _composed(typed: Sequence[str], user_dir: Path | None) -> "DictConfig":
     from hydra import compose
 
-    search = [f"hydra.searchpath=['file://{user_dir}']"] if user_dir else []
+    search = [f"hydra.searchpath=[{literal(f'file://{user_dir}')}]"] if user_dir else []
     try:
         return compose("config", overrides=[*search, *typed])
     # an override still being typed, or wrong, must not take the completion of the others away

@@ -148,8 +148,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
         *prepared,
         f"command={command}",
-        f"out={_quoted(folder)}",
-        f"hydra.run.dir={_quoted(folder)}",
+        f"out={_text(folder)}",
+        f"hydra.run.dir={_text(folder)}",
         "hydra.output_subdir=null",
     ]
     return Prepared(merged, continues=True)
@@ -164,7 +164,7 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
         return rest
     if any(_key(each) == "demos" for each in rest):
         raise BadInputError(f"demos: must be given by demos= or by files alone, found both: {files[0]}")
-    return [f"demos=[{','.join(_literal(str(Path(each).expanduser())) for each in files)}]", *rest]
+    return [f"demos=[{','.join(literal(str(Path(each).expanduser())) for each in files)}]", *rest]
 
 
 def _with_runs(overrides: Sequence[str]) -> list[str]:
@@ -175,7 +175,7 @@ def _with_runs(overrides: Sequence[str]) -> list[str]:
         raise BadInputError(
             f"run: koopdqn compare needs 2 to {_MOST_COMPARED} runs (run=DIR run=DIR), found {len(folders)}"
         )
-    return [*rest, f"run={folders[0]}", f"compare.runs=[{','.join(map(_literal, folders))}]"]
+    return [*rest, f"run={_text(folders[0])}", f"compare.runs=[{','.join(map(literal, folders))}]"]
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
@@ -199,7 +199,7 @@ def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
     ]
     own = check_record(recorded, Path(folder), _trusted(prepared), [])
     rest = [item for item in prepared if _key(item) != "run"]
-    return Prepared([*own, *rest, f"run={_quoted(folder)}", f"command={command}"])
+    return Prepared([*own, *rest, f"run={_text(folder)}", f"command={command}"])
 
 
 def _paths(keys: Iterable[str]) -> list[str]:
@@ -253,7 +253,7 @@ def _obstacles(value: str) -> str:
 def _grammar(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(_grammar(each) for each in value)}]"
-    return _literal(value) if isinstance(value, str) else repr(value)
+    return literal(value) if isinstance(value, str) else repr(value)
 
 
 def _is_override(text: str) -> bool:
@@ -285,12 +285,16 @@ def _quoted(value: str) -> str:
     # quotes, interpolations and lists for a sweep are the user's own grammar
     if value[:1] in ("'", '"') or "${" in value or "," in value:
         return value
-    if _PLAIN_VALUE.fullmatch(value) and not _NUMBER_OR_BOOLEAN.fullmatch(value):
-        return value
-    return _literal(value)
+    return _text(value)
 
 
-def _literal(value: str) -> str:
+def _text(value: str) -> str:
+    """Return a text in Hydra's grammar, in quotes where it needs them."""
+    plain = _PLAIN_VALUE.fullmatch(value) and not _NUMBER_OR_BOOLEAN.fullmatch(value)
+    return value if plain else literal(value)
+
+
+def literal(value: str) -> str:
     """Return a text in quotes of Hydra's grammar."""
     # in Hydra's quotes a backslash is an ordinary character unless it stands before a quote
     escaped = re.sub(r"(\\*)('|$)", lambda m: m[1] * 2 + ("\\'" if m[2] else ""), value)

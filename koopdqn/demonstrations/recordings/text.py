@@ -125,7 +125,7 @@ class TextColumns:
             cells = _split(row, self.delimiter)
             for column in columns:
                 cell = cells[column] if column < len(cells) else ""
-                if not _NUMERAL.fullmatch(cell) or not np.isfinite(float(cell)):
+                if not _NUMERAL.fullmatch(cell) or "," in cell or not np.isfinite(float(cell)):
                     return BadInputError(
                         f"demos {self.where}: line {line}: {self.names[column]} must be a finite number,"
                         f" found {shown(cell)}"
