@@ -48,12 +48,23 @@ def batch(rng: np.random.Generator, count: int = 64, per_state: int = 6) -> Tran
     )
 
 
-def test_targets_are_the_lesser_critics_and_stop_where_nothing_follows() -> None:
-    rewards, stop = torch.tensor([1.0, 0.5, -1.0, 2.0]), torch.tensor([False, False, True, True])
-    first, second = torch.tensor([2.0, 1.0, 9.0, 9.0]), torch.tensor([3.0, -1.0, 9.0, 9.0])
-    found = smoothed_targets(rewards, stop, first, second, 0.5)
-    # 1 + 0.5·2, 0.5 + 0.5·(−1), −1, 2.
-    assert found.tolist() == [2.0, 0.0, -1.0, 2.0]
+def test_targets_are_of_the_lesser_critic() -> None:
+    first, second = torch.tensor([2.0, 1.0]), torch.tensor([3.0, -1.0])
+    # 1 + 0.5·2, 0.5 + 0.5·(−1).
+    assert smoothed_targets(torch.tensor([1.0, 0.5]), first, second, 0.5).tolist() == [2.0, 0.0]
+
+
+def test_nothing_follows_what_ended_or_was_undone(settings: ActorCriticSettings) -> None:
+    yes = np.ones(60, dtype=bool)
+
+    def loss(**changed: np.ndarray) -> float:
+        made = ActorCritic(5, np.ones(3), settings, np.random.default_rng(0))
+        return made.update(replace(batch(np.random.default_rng(0)), **changed))
+
+    assert (
+        loss(undone=yes) == loss(terminated=yes) == loss(terminated=yes, next_observations=np.ones((60, 5), np.float32))
+    )
+    assert loss(undone=yes) != loss(undone=~yes)
 
 
 def test_an_actors_outputs_are_shortened_to_the_balls() -> None:

@@ -12,7 +12,6 @@ from koopdqn.rl.settings import AgentSettings, check_device
 ONLINE = torch.tensor([[1.0, 5.0, 2.0], [7.0, 0.0, 1.0], [3.0, 2.0, 9.0]])
 TARGET = torch.tensor([[10.0, 20.0, 30.0], [40.0, 50.0, 60.0], [70.0, 80.0, 90.0]])
 REWARDS = torch.tensor([0.5, -1.0, 2.0])
-GO_ON, STOP_LAST = torch.tensor([False, False, False]), torch.tensor([False, False, True])
 
 
 @pytest.fixture(scope="module")
@@ -48,21 +47,14 @@ def learner(agent: AgentSettings, seed: int = 0) -> Learner:
 
 def test_double_targets_choose_online_and_value_by_the_target_network() -> None:
     """By hand: the online argmaxes are 1, 0, 2, which the target values at 20, 40, 90."""
-    found = q_targets(REWARDS, GO_ON, ONLINE, TARGET, gamma=0.5, double=True)
+    found = q_targets(REWARDS, ONLINE, TARGET, gamma=0.5, double=True)
     torch.testing.assert_close(found, torch.tensor([0.5 + 10.0, -1.0 + 20.0, 2.0 + 45.0]))
 
 
 def test_eq_3_takes_the_targets_own_maximum() -> None:
     """By hand: the target's maxima are 30, 60, 90."""
-    found = q_targets(REWARDS, GO_ON, ONLINE, TARGET, gamma=0.5, double=False)
+    found = q_targets(REWARDS, ONLINE, TARGET, gamma=0.5, double=False)
     torch.testing.assert_close(found, torch.tensor([0.5 + 15.0, -1.0 + 30.0, 2.0 + 45.0]))
-
-
-@pytest.mark.parametrize("double", [True, False])
-def test_nothing_follows_a_stop(double: bool) -> None:
-    found = q_targets(REWARDS, STOP_LAST, ONLINE, TARGET, gamma=0.5, double=double)
-    assert found[2] == 2.0
-    assert found[0] != 0.5
 
 
 def loss_of(agent: AgentSettings, transitions: Transitions) -> float:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
-from koopdqn.rl.dqn import Adam, arrays_of, below, distinct, load_arrays
+from koopdqn.rl.dqn import Adam, Networks, distinct
 from koopdqn.rl.network import QNetwork, linear
 from koopdqn.rl.replay_buffer import Batch
 from koopdqn.rl.settings import ActorCriticSettings
@@ -35,17 +35,12 @@ def _parts(raw: Tensor) -> list[Tensor]:
     return [raw[:, first : first + _MOTION] for first in range(0, raw.shape[1], _MOTION)]
 
 
-def smoothed_targets(rewards: Tensor, stop: Tensor, first: Tensor, second: Tensor, gamma: float) -> Tensor:
-    """Return the targets (N,) of both critics: r + γ min(Q'₁, Q'₂), and r where ``stop`` (N,) is true.
+def smoothed_targets(rewards: Tensor, first: Tensor, second: Tensor, gamma: float) -> Tensor:
+    """Return the targets (N,) of both critics where something follows: r + γ min(Q'₁(s', ã), Q'₂(s', ã)).
 
-    Args:
-        rewards: (N,).
-        stop: (N,) booleans: terminated, or undone and not bootstrapped. Truncated transitions do not stop.
-        first: Q'₁(s', ã) (N,), where ã is the target policy's action with clipped noise.
-        second: Q'₂(s', ã) (N,).
-        gamma: γ.
+    ã is the target policy's action with clipped noise; rewards and values are (N,).
     """
-    return rewards + gamma * torch.where(stop, 0.0, torch.minimum(first, second))
+    return rewards + gamma * torch.minimum(first, second)
 
 
 class TwinCritics(nn.Module):
@@ -83,14 +78,10 @@ class TwinCritics(nn.Module):
         return torch.baddbmm(self.bias3, hidden, self.weight3)[..., 0]
 
 
-class ActorCritic:
-    """Actor and critics, their targets and the optimisers.
+class ActorCritic(Networks):
+    """Actor and critics, their targets and the optimisers; an actor's raw outputs are shortened to a twist."""
 
-    Attributes:
-        online: the actor; its raw outputs are shortened to a twist.
-        target: the target actor.
-        updates: number of updates made.
-    """
+    settings: ActorCriticSettings
 
     def __init__(self, inputs: int, tolerances: Array, settings: ActorCriticSettings, rng: np.random.Generator) -> None:
         """Make the networks, with weights drawn from ``rng``.
@@ -118,11 +109,6 @@ class ActorCritic:
         self._actor_adam = Adam(list(self.online.parameters()), settings.actor_rate)
         self._critic_adam = Adam(list(self._critics.parameters()), settings.learning_rate)
         self._seed = int(rng.integers(2**32))
-
-    def normalise_to(self, observations: np.ndarray) -> None:
-        """Set mean and spread of both actors' inputs from observations (N, inputs)."""
-        self.online.normalise_to(observations)
-        self.target.normalise_to(observations)
 
     def propose(self, observe: Callable[[], NDArray[np.float32]], rng: np.random.Generator) -> Array:
         """Return the twists (N, S, 3 or 6) to attempt at observations: the actor's own, then ones around it."""
@@ -173,8 +159,7 @@ class ActorCritic:
             first, second = self._target_critics(features, self._each(features), action / self._unit)
             targets = self._tensor(batch.rewards[:count].copy())
             rows = self._tensor(follows)
-            going_on = torch.zeros(len(follows), dtype=torch.bool, device=self._device)
-            targets[rows] = smoothed_targets(targets[rows], going_on, first, second, settings.gamma)
+            targets[rows] = smoothed_targets(targets[rows], first, second, settings.gamma)
         return targets
 
     def _update_actor(self, features: Tensor, batch: Batch, state_of: np.ndarray) -> None:
@@ -195,36 +180,6 @@ class ActorCritic:
     def _each(self, features: Tensor) -> Tensor:
         """Return the states (B,) of one action in each."""
         return torch.arange(len(features), device=self._device)
-
-    def _tensor(self, values: np.ndarray) -> Tensor:
-        return torch.from_numpy(values).to(self._device)
-
-    @property
-    def policy_network(self) -> QNetwork:
-        """The actor that is the policy: the online one, or the target, its average over updates."""
-        return self.target if self.settings.policy_network == "target" else self.online
-
-    def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return a copy of the policy network's parameters and buffers."""
-        return arrays_of(self.policy_network)
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return the state as arrays."""
-        state = {"updates": np.array(self.updates)}
-        for part, held in self._parts().items():
-            arrays = held.state() if isinstance(held, Adam) else arrays_of(held)
-            state |= {f"{part}.{name}": values for name, values in arrays.items()}
-        return state
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Restore what :meth:`state` returned."""
-        for part, held in self._parts().items():
-            arrays = below(state, f"{part}.")
-            if isinstance(held, Adam):
-                held.restore(arrays)
-            else:
-                load_arrays(held, arrays)
-        self.updates = int(state["updates"])
 
     def _parts(self) -> dict[str, nn.Module | Adam]:
         return {

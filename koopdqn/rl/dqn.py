@@ -1,5 +1,6 @@
 """Double DQN: updates from replayed transitions (Eqs. 1, 3; van Hasselt et al. 2016), with Adam (Kingma & Ba 2015)."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.rl.network import Buffers, QNetwork
 from koopdqn.rl.replay_buffer import Batch
-from koopdqn.rl.settings import AgentSettings
+from koopdqn.rl.settings import Agent, AgentSettings
 
 _BETA1: Final = 0.9
 _BETA2: Final = 0.999
@@ -67,22 +68,14 @@ class Adam:
         return {"exp_avg": self._means, "exp_avg_sq": self._squares, "step": self._steps}
 
 
-def q_targets(
-    rewards: Tensor,
-    stop: Tensor,
-    online_next: Tensor,
-    target_next: Tensor,
-    gamma: float,
-    double: bool,
-) -> Tensor:
-    """Return the targets (N,) of Q(s, a).
+def q_targets(rewards: Tensor, online_next: Tensor, target_next: Tensor, gamma: float, double: bool) -> Tensor:
+    """Return the targets (N,) of Q(s, a) where something follows; elsewhere a target is the reward alone.
 
     Double: r + γ Q'(s', argmax_a Q(s', a)). Otherwise Eq. 3 as written, with the target network Q':
-    r + γ max_a Q'(s', a). Where ``stop`` (N,) is true the target is r.
+    r + γ max_a Q'(s', a).
 
     Args:
         rewards: (N,).
-        stop: (N,) booleans: terminated, or undone and not bootstrapped. Truncated transitions do not stop.
         online_next: Q(s', ·) (N, 10).
         target_next: Q'(s', ·) (N, 10).
         gamma: γ.
@@ -93,17 +86,68 @@ def q_targets(
         value = target_next.gather(1, best).squeeze(1)
     else:
         value = target_next.max(dim=1).values
-    return rewards + gamma * torch.where(stop, 0.0, value)
+    return rewards + gamma * value
 
 
-class Learner:
-    """The online network, its target and the optimiser.
+class Networks(ABC):
+    """An online network and its target, one of which is the policy, and the state of all that learns with them.
 
     Attributes:
+        settings: of the agent.
         online: the network that acts.
         target: the network that evaluates.
         updates: number of updates made.
     """
+
+    settings: Agent
+    online: QNetwork
+    target: QNetwork
+    updates: int
+
+    @abstractmethod
+    def _parts(self) -> "dict[str, nn.Module | Adam]":
+        """Return everything that learns, by the name under which its state is stored."""
+
+    def normalise_to(self, observations: np.ndarray) -> None:
+        """Set mean and spread of both networks' inputs from observations (N, inputs)."""
+        self.online.normalise_to(observations)
+        self.target.normalise_to(observations)
+
+    @property
+    def policy_network(self) -> QNetwork:
+        """The network that is the policy: the online one, or the target, its average over updates."""
+        return self.target if self.settings.policy_network == "target" else self.online
+
+    def policy_arrays(self) -> dict[str, np.ndarray]:
+        """Return a copy of the policy network's parameters and buffers."""
+        return arrays_of(self.policy_network)
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return the state as arrays."""
+        state = {"updates": np.array(self.updates)}
+        for part, held in self._parts().items():
+            arrays = held.state() if isinstance(held, Adam) else arrays_of(held)
+            state |= {f"{part}.{name}": values for name, values in arrays.items()}
+        return state
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Restore what :meth:`state` returned."""
+        for part, held in self._parts().items():
+            arrays = below(state, f"{part}.")
+            if isinstance(held, Adam):
+                held.restore(arrays)
+            else:
+                load_arrays(held, arrays)
+        self.updates = int(state["updates"])
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(values).to(self.online.device)
+
+
+class Learner(Networks):
+    """The double DQN: networks of the values of the ten actions, and the optimiser."""
+
+    settings: AgentSettings
 
     def __init__(self, inputs: int, settings: AgentSettings, rng: np.random.Generator) -> None:
         """Make the networks for observations of ``inputs`` values, with weights drawn from ``rng``."""
@@ -118,10 +162,8 @@ class Learner:
         self._forward, self._backward = (Buffers(self._device) for _ in range(2))
         self._slopes = [torch.empty_like(weight) for weight, _ in self.online.weights]
 
-    def normalise_to(self, observations: np.ndarray) -> None:
-        """Set mean and spread of both networks' inputs from observations (N, inputs)."""
-        self.online.normalise_to(observations)
-        self.target.normalise_to(observations)
+    def _parts(self) -> dict[str, nn.Module | Adam]:
+        return {"online": self.online, "target": self.target, "adam": self._adam}
 
     def propose(self, observe: Callable[[], NDArray[np.float32]], rng: np.random.Generator) -> None:
         """Propose nothing: Table 1's actions are all there are."""
@@ -151,9 +193,6 @@ class Learner:
                 torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
         return float(loss)
 
-    def _tensor(self, values: np.ndarray) -> Tensor:
-        return torch.from_numpy(values).to(self._device)
-
     def _targets(self, batch: Batch, stop: NDArray[np.bool_]) -> Tensor:
         """Return the targets (N,) of a batch; where ``stop`` (N,) is true they do not bootstrap."""
         # Most actions of a state are wrong, and their targets do not bootstrap.
@@ -163,8 +202,7 @@ class Learner:
         _, ((*_, online), (*_, target)) = self.online.passed(after, self._forward, self.online, self.target)
         targets = self._tensor(batch.rewards.copy())
         rows = self._tensor(follows)
-        going_on = torch.zeros(len(follows), dtype=torch.bool, device=self._device)
-        targets[rows] = q_targets(targets[rows], going_on, online, target, self.settings.gamma, self.settings.double)
+        targets[rows] = q_targets(targets[rows], online, target, self.settings.gamma, self.settings.double)
         return targets
 
     def _gradients(self, inputs: list[Tensor], slope: Tensor) -> list[Tensor]:
@@ -188,29 +226,6 @@ class Learner:
                 slope = torch.mm(slope, weight, out=into)
                 _relu_slope(slope, seen, 0, grad_input=slope)
         return gradients
-
-    @property
-    def policy_network(self) -> QNetwork:
-        """The network whose argmax is the policy: the online one, or the target, its average over updates."""
-        return self.target if self.settings.policy_network == "target" else self.online
-
-    def policy_arrays(self) -> dict[str, np.ndarray]:
-        """Return a copy of the policy network's parameters and buffers."""
-        return arrays_of(self.policy_network)
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Return the state as arrays."""
-        state = {f"online.{name}": values for name, values in arrays_of(self.online).items()}
-        state |= {f"target.{name}": values for name, values in arrays_of(self.target).items()}
-        state |= {f"adam.{name}": values for name, values in self._adam.state().items()}
-        return {**state, "updates": np.array(self.updates)}
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Restore what :meth:`state` returned."""
-        load_arrays(self.online, below(state, "online."))
-        load_arrays(self.target, below(state, "target."))
-        self._adam.restore(below(state, "adam."))
-        self.updates = int(state["updates"])
 
 
 def distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
