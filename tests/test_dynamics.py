@@ -11,7 +11,7 @@ from helpers_shelf import held_out, shelf
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import straight_path
-from koopdqn.evaluation.dynamics import Execution, execute, summarise
+from koopdqn.evaluation.dynamics import Execution, play, summarise
 from koopdqn.evaluation.metrics import reference_paths
 from koopdqn.pose import Array
 from koopdqn.tasks.workcell import Workcell, build_scene
@@ -24,6 +24,10 @@ def path() -> Array:
     joints, reason = cell.reachability.follow(reference_paths(cell.task, held_out(1)[0], 700)[0])
     assert joints is not None, reason
     return joints
+
+
+def execute(cell: Workcell, joints: Array, time_scale: float) -> Execution:
+    return play(cell, joints, time_scale * cell.reachability.durations(joints))
 
 
 @cache
@@ -136,11 +140,6 @@ def test_a_motor_without_stiffness_is_refused() -> None:
 def test_a_path_of_less_than_two_rows_is_refused(rows: int) -> None:
     with pytest.raises(BadInputError, match=rf"T >= 2, found \({rows}, 6\)"):
         execute(shelf(), path()[:rows], 1.0)
-
-
-def test_a_time_scale_below_one_is_refused() -> None:
-    with pytest.raises(BadInputError, match=r"at least 1, found 0\.5"):
-        execute(shelf(), path(), 0.5)
 
 
 def test_the_summary_takes_means_of_paths_and_the_largest_of_all() -> None:

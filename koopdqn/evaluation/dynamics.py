@@ -53,35 +53,20 @@ class Execution:
     physics_seconds: float
 
 
-def execute(workcell: Workcell, joints: Array, time_scale: float) -> Execution:
-    """Execute a path of joint angles (T, 6) [rad], each step ``time_scale`` times as long as planned.
+def play(
+    workcell: Workcell, joints: Array, durations: Array, received: Callable[[Array], Array] = lambda sent: sent
+) -> Execution:
+    """Execute a path of joint angles (T, 6) [rad] whose steps take ``durations`` (T − 1,) [s].
 
-    A cubic spline through the rows, at rest at both ends, is sampled at every physics step, whatever the
-    ratio of the two time steps is; the last physics step may reach past the path's end, where the end is
-    commanded. A position actuator with stiffness kp and damping kd follows kd/kp behind, so its set
-    point leads by that: q + (kd/kp)·q̇.
+    A cubic spline through the rows, at rest at both ends, is sampled at every physics step, whatever the ratio of the
+    two time steps is; the last physics step may reach past the path's end, where the end is commanded. A position
+    actuator with stiffness kp and damping kd follows kd/kp behind, so its set point leads by that: q + (kd/kp)·q̇.
 
     Args:
         workcell: arm and scene; the scene's own state is left alone.
         joints: at least two rows.
-        time_scale: how many times slower than planned.
-
-    Raises:
-        BadInputError: the path has fewer than two rows, the time scale is below 1, or an actuator is no
-            position actuator.
-    """
-    if time_scale < 1:
-        raise BadInputError(f"time_scale must be at least 1, found {time_scale:g}")
-    _check_shape(joints, workcell)
-    return play(workcell, joints, time_scale * workcell.reachability.durations(joints))
-
-
-def play(
-    workcell: Workcell, joints: Array, durations: Array, received: Callable[[Array], Array] = lambda sent: sent
-) -> Execution:
-    """Play joint angles (T, 6) [rad] whose steps take ``durations`` (T − 1,) [s], as :func:`execute` does.
-
-    ``received`` gives what the arm gets of the set points (S + 1, 6) [rad] that are sent to it.
+        durations: of the steps.
+        received: gives what the arm gets of the set points (S + 1, 6) [rad] that are sent to it.
 
     Raises:
         BadInputError: the path has fewer than two rows, or an actuator is no position actuator.
