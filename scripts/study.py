@@ -73,7 +73,13 @@ class Study:
             for case in content.cases or seeds
             if case in seeds and seed in (content.seeds or seeds[case]) and not content.kept
         ]
-        self._known = self._earlier()
+        rows = self._stored()
+        self._known = self._earlier(rows)
+        # What was measured of motions that are not here stays as it is.
+        self._elsewhere = [
+            row for row in rows if row.case not in seeds and row.seed is not None and row.line in experiment.lines
+        ]
+        self._cases += dict.fromkeys(row.case for row in self._elsewhere)
 
     def chosen(self, **wanted: Sequence[str | int]) -> list[Run]:
         """Return the runs whose ``case``, ``variant`` and ``seed`` are wanted; an empty list is every one.
@@ -99,6 +105,7 @@ class Study:
         variants, found = self._experiment.variants, []
         for run in self.runs:
             found += self._results_of(run)
+        found += self._elsewhere
         for name, variant in variants.items():
             for case in variant.kept.keys() & {each.case for each in found}:
                 for kept in variant.kept[case]:
@@ -159,28 +166,29 @@ class Study:
             if (self._root / source).is_file():
                 shutil.copyfile(self._root / source, ROOT / target)
 
-    def _earlier(self) -> dict[str, list[Result]]:
-        """Return, by the runs' names, what stands in the file of results with today's settings and values.
+    def _stored(self) -> list[Result]:
+        """Return what stands in the file of results with today's values.
 
         Raises:
             BadInputError: the file cannot be read.
         """
         if not self._experiment.results or not self._kept.is_file():
-            return {}
+            return []
         try:
             rows = [Result.of_row(row) for row in read_json(self._kept, "the results")]
         except (AttributeError, KeyError, TypeError) as error:
             raise BadInputError(f"{self._kept}: must be results of an experiment, found {error!r}") from error
+        return [row for row in rows if row.values.keys() == self._experiment.values.keys()]
+
+    def _earlier(self, rows: Sequence[Result]) -> dict[str, list[Result]]:
+        """Return, by the runs' names, those of stored results that have today's settings."""
         found: dict[str, list[Result]] = {}
         for run in self.runs:
             ours = {f"{run.variant}{below}" for below in ("", *(f"/{name}" for name in run.baselines))}
             stored = [
                 row
                 for row in rows
-                if (row.case, row.seed) == (run.case, run.seed)
-                and row.line in ours
-                and row.settings == run.settings
-                and row.values.keys() == self._experiment.values.keys()
+                if (row.case, row.seed) == (run.case, run.seed) and row.line in ours and row.settings == run.settings
             ]
             if len(stored) == len(ours):
                 found[run.name] = stored

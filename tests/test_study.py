@@ -113,6 +113,25 @@ def test_what_the_file_of_results_holds_is_not_measured_again(tmp_path: Path) ->
         (tmp_path / "runs").rename(tmp_path / f"lost-{len(list(tmp_path.iterdir()))}")
 
 
+def test_results_of_motions_that_are_not_here_stay(tmp_path: Path) -> None:
+    changed: dict[str, Any] = {
+        "results": str(tmp_path / "kept.json"),
+        "cases": {"shelf": {"train": ["task=shelf"]}, "plate": {"train": ["task=demonstrated"], "file": "plate.csv"}},
+    }
+    write(tmp_path / "people" / "plate.csv", "")
+    small = begun(tmp_path, **changed)
+    small.measure(small.chosen(variant=["default"], seed=[1]), launch=Launcher())
+    page, kept = (tmp_path / name for name in ("page.md", "kept.json"))
+    before = page.read_text(encoding="utf-8"), kept.read_text(encoding="utf-8")
+    (tmp_path / "people").rename(tmp_path / "gone")
+    (tmp_path / "runs").rename(tmp_path / "lost")
+    again = begun(tmp_path, **changed)
+    assert {run.case for run in again.runs} == {"shelf"}
+    again.write()
+    assert (page.read_text(encoding="utf-8"), kept.read_text(encoding="utf-8")) == before
+    assert '"plate"' in before[1]
+
+
 @pytest.mark.parametrize("content", ["[1]", '{"case": "shelf"}', '[{"case": "shelf"}]', "3", "[[]]"])
 def test_results_that_are_none_are_bad_input(tmp_path: Path, content: str) -> None:
     (tmp_path / "kept.json").write_text(content, encoding="utf-8")
