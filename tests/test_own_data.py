@@ -91,3 +91,17 @@ def test_training_and_evaluation_from_a_single_set_of_files(logs: Path, printed:
     assert isinstance(holdout, dict)
     assert holdout["demonstrations"] == len(holdout["outcomes"]) == len(holdout["hausdorff_mm"]["policy"]) == 1
     assert holdout["hausdorff_mm"]["straight_line"][0] > holdout["hausdorff_mm"]["nearest_demonstration"][0]
+
+
+def test_a_run_whose_task_is_made_otherwise_today_is_evaluated_with_its_own(
+    logs: Path, printed: Printed, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
+    given = ("task=demonstrated", "demos=log_*.csv", "out=run", "task.step_m=0.0025", *short)
+    assert cli.main(["train", *given]) in (0, 1)
+    record = logs / "run" / ".hydra" / "overrides.yaml"
+    record.write_text("".join(line for line in record.read_text().splitlines(keepends=True) if "step_m" not in line))
+    assert cli.main(["eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false"]) == 0
+    assert "task: as in the run, from which today's defaults differ" in capsys.readouterr().err
+    holdout = json.loads((logs / "measured" / "eval.json").read_text())["holdout"]
+    assert holdout["baselines"]["floor"]["success_rate"] == 1.0

@@ -44,6 +44,25 @@ def following(parts: Parts) -> StartFrame:
     return StartFrame(parts.task.nominal_start[:3], parts.task.goal[:3], follows=True)
 
 
+def test_a_policy_comes_back_with_what_its_frame_learned_of_starts(tmp_path: Path, parts: Parts) -> None:
+    poses, starts = on_the_way(parts)
+    share = np.linspace(0.0, 1.0, 80)[:, None]
+    shown = []
+    for start in starts[:6]:
+        rows = parts.task.goal + (1.0 - share) * (start - parts.task.goal)
+        rows[:, 2] += np.sin(np.pi * share[:, 0]) * (start[0] - parts.task.nominal_start[0])
+        shown.append(rows)
+    frame = StartFrame.following(shown, parts.task.nominal_start, parts.task.goal)
+    assert frame.regression is not None
+    written = tmp_path / "policy.safetensors"
+    write_policy(written, learner(parts).policy_arrays(), parts.agent.network, frame, about(parts))
+    policy, _ = read_policy(written, parts.task)
+    original = Policy(learner(parts).online, parts.task, frame)
+    np.testing.assert_array_equal(policy.values(poses, starts), original.values(poses, starts))
+    plain = Policy(learner(parts).online, parts.task, following(parts))
+    assert (policy.values(poses, starts) != plain.values(poses, starts)).any()
+
+
 def on_the_way(parts: Parts) -> tuple[Array, Array]:
     """Poses between starts and the goal, and the starts."""
     starts = parts.task.draw_starts(np.random.default_rng(1), 50)

@@ -245,7 +245,7 @@ def fit(
     _check(demonstrations, task)
     shown = agent_steps(demonstrations, task)
     frame = intent.start_frame(shown, task)
-    trajectories = frame.each(shown)
+    trajectories = frame.each_unseen(shown)
     found = cross_validate(trajectories, task, intent, advance)
     model = intent.with_ridge(found.ridge).fit(trajectories, task).within(frame)
     # A single demonstration cannot be left out: all its signs count as right.

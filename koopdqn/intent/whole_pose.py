@@ -25,6 +25,8 @@ from koopdqn.tasks.task import Task, angles_in, quaternions_in
 
 # Position, and the entries of R − I.
 _PLACE, _TURN = slice(0, 3), slice(3, 12)
+# What names of the start frame's arrays begin with.
+_FRAME = "frame_"
 
 
 class FeaturesOfPlace(Observables):
@@ -79,8 +81,10 @@ class WholePoseSettings(IntentSettings):
         """Return the model with these arrays."""
         koopman = KoopmanModel(self._observables, np.zeros(12), 1.0, arrays["matrix"])
         spread, tolerance = float(arrays["spread"]), float(arrays["rotation_tolerance"])
-        frame = StartFrame.restore({name: arrays[f"frame_{name}"] for name in STILL.arrays()})
-        return WholePoseIntent(koopman, spread, bool(arrays["held"]), tolerance, arrays["goal"], frame)
+        held = {name.removeprefix(_FRAME): each for name, each in arrays.items() if name.startswith(_FRAME)}
+        return WholePoseIntent(
+            koopman, spread, bool(arrays["held"]), tolerance, arrays["goal"], StartFrame.restore(held)
+        )
 
     @property
     def _observables(self) -> FeaturesOfPlace:
@@ -175,7 +179,7 @@ class WholePoseIntent(IntentModel):
             "held": np.array(self.held),
             "rotation_tolerance": np.array(self.rotation_tolerance),
             "goal": self.goal,
-            **{f"frame_{name}": values for name, values in self.start_frame.arrays().items()},
+            **{f"{_FRAME}{name}": values for name, values in self.start_frame.arrays().items()},
         }
 
 

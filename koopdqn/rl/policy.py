@@ -22,7 +22,7 @@ from koopdqn.tasks.twists import in_balls, twist_size
 KIND = "policy"
 CONTINUOUS = "continuous"
 """What a policy's metadata say of its actions where they are twists."""
-_BEND = "bend/"
+_BEND, _FRAME = "bend/", "frame/"
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,9 @@ def write_policy(
     """Write a policy: the network's arrays and settings, its frame, and further metadata ``about``."""
     kind = {"actions": CONTINUOUS} if continuous else {}
     about = {**about, **kind, "network": described(network), "frame": frame.described()}
-    write_artifact(path, Artifact(KIND, arrays, about))
+    regression = {} if frame.regression is None else frame.regression.arrays()
+    held = {_FRAME + name: values for name, values in regression.items()}
+    write_artifact(path, Artifact(KIND, {**arrays, **held}, about))
 
 
 def write_corrected(path: Path, source: Path, bend: Bend) -> None:
@@ -110,9 +112,9 @@ def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Poli
         settings = validate(node, NetworkSettings, "policy.network")
         continuous = about.get("actions") == CONTINUOUS
         outputs = twist_size(task) if continuous else COUNT
-        arrays = {name: values for name, values in artifact.arrays.items() if not name.startswith(_BEND)}
+        arrays = {name: values for name, values in artifact.arrays.items() if not name.startswith((_BEND, _FRAME))}
         bend = None
-        if len(arrays) < len(artifact.arrays):
+        if f"{_BEND}path" in artifact.arrays:
             bend = Bend(*(artifact.arrays[_BEND + name].astype(float) for name in ("path", "offsets")))
             bend.straightened(task.nominal_start[None])
         held, wanted = sum(values.size for values in arrays.values()), values_in(size(task), settings, outputs)
@@ -123,7 +125,8 @@ def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Poli
             )
         network = policy_network(task, settings, continuous=continuous)
         load_arrays(network, arrays)
-        frame = StartFrame.restore(about.get("frame", STILL.described()))
+        found = {name.removeprefix(_FRAME): each for name, each in artifact.arrays.items() if name.startswith(_FRAME)}
+        frame = StartFrame.restore({**about.get("frame", STILL.described()), **found})
         policy = Policy(network, task, frame, continuous, bend)
         policy(task.nominal_start[None], task.nominal_start[None])
         return policy, about

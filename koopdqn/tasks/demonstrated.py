@@ -57,7 +57,11 @@ class DemonstratedTask(Task):
         Raises:
             ValidationError: a field breaks a rule.
         """
-        task = cls.model_validate(fields)
+        return cls.model_validate(fields).showing(trajectories)
+
+    def showing(self, trajectories: list[Array]) -> Self:
+        """Return the task, as read from an artifact, with training trajectories (N, 7) at the agent's step."""
+        task = self.model_copy()
         task._trajectories = tuple(trajectories)
         return task
 
@@ -99,10 +103,12 @@ class DemonstratedTask(Task):
         nearest = min(self.trajectories, key=lambda each: float(pose.position_distance(each[0], self.nominal_start)))
         return SmoothPath.along(nearest[:, pose.POSITION])
 
-    @property
+    @cached_property
     def person_frame(self) -> StartFrame:
         """The start frame, chosen by leaving one demonstration out at a time."""
-        return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], self.follows_start)
+        if self.follows_start:
+            return StartFrame.following(self.trajectories, self.nominal_start, self.goal)
+        return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], follows=False)
 
     @cached_property
     def reference_path(self) -> ReferencePath:

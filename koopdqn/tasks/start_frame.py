@@ -1,7 +1,7 @@
 """The start frame: poses expressed as if every path had begun at the nominal start."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
+from koopdqn.tasks.start_regression import StartRegression
 
 # The frame must bring demonstrations nearer by more than this [m]; less is rounding.
 _LEAST_GAIN_M = 1e-6
@@ -22,84 +23,128 @@ class StartFrame:
 
     Paths from different starts often keep their offset for much of the way. As with movement primitives, the start's
     offset is subtracted and fades toward the goal: position p becomes p − w·(start − nominal start) with
-    w = min(1, ‖p − goal‖ / ‖start − goal‖). Orientations stay.
+    w = min(1, ‖p − goal‖ / ‖start − goal‖). What demonstrations show beyond that is regressed on the start
+    (:class:`koopdqn.tasks.start_regression.StartRegression`) and subtracted too. Orientations stay: Table 1 turns
+    toward the goal alone, whatever a start's orientation has been.
 
     Attributes:
         start: (3,) the nominal start [m].
         goal: (3,) where all paths end [m].
         follows: whether paths follow their start; if not, the frame is the identity.
+        regression: of what else the start changes; None where that is not known.
     """
 
     start: Array
     goal: Array
     follows: bool
+    regression: StartRegression | None = None
 
     def to_frame(self, poses: Array, starts: Array) -> Array:
         """Return poses (..., 7) of paths from ``starts`` (..., 7), in the frame."""
-        return self._moved(poses, starts, poses, -1.0) if self.follows else poses
+        if not self.follows:
+            return poses
+        place = poses[..., pose.POSITION] - self._fading(poses, starts) * self._off(starts)
+        if self.regression is not None:
+            place = self.regression.place(place, self.regression.offset(starts))
+        return np.concatenate([place, poses[..., pose.QUATERNION]], axis=-1)
 
     def from_frame(self, local: Array, starts: Array, near: Array) -> Array:
         """Return the inverse of :meth:`to_frame` at ``local`` (..., 7), iterated from poses ``near`` (..., 7)."""
         if not self.follows:
             return local
+        place, off = local[..., pose.POSITION], self._off(starts)
+        if self.regression is not None:
+            place = place + self.regression.shift(place, self.regression.offset(starts))
         for _ in range(_ITERATIONS):
-            near = self._moved(local, starts, near, 1.0)
-        return near
+            near = place + self._fading(near, starts) * off
+        return np.concatenate([near, local[..., pose.QUATERNION]], axis=-1)
 
     def each(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return trajectories (N, 7), each in the frame by its own start."""
         return [self.to_frame(rows, rows[:1]) for rows in trajectories]
 
+    def each_unseen(self, trajectories: Sequence[Array]) -> list[Array]:
+        """Return the trajectories (N, 7) that the frame was fitted to, each in the frame fitted to the others.
+
+        What differs between them is so what differs from one that the frame has not seen (a jackknife).
+        """
+        if self.regression is None:
+            return self.each(trajectories)
+        placed = []
+        for index, rows in enumerate(trajectories):
+            frame = self.fitted([*trajectories[:index], *trajectories[index + 1 :]])
+            placed.append(frame.to_frame(rows, rows[:1]))
+        return placed
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the frame as arrays."""
-        return {"start": self.start, "goal": self.goal, "follows": np.array(self.follows)}
+        regression = {} if self.regression is None else self.regression.arrays()
+        return {"start": self.start, "goal": self.goal, "follows": np.array(self.follows), **regression}
 
     def described(self) -> dict[str, Any]:
-        """Return the frame as JSON values."""
+        """Return start, goal and whether paths follow their start, as JSON values."""
         return {"start": self.start.tolist(), "goal": self.goal.tolist(), "follows": self.follows}
 
     @classmethod
-    def restore(cls, held: dict[str, Any]) -> "StartFrame":
-        """Return the frame with these :meth:`arrays` or :meth:`described` values."""
-        return cls(np.array(held["start"], dtype=float), np.array(held["goal"], dtype=float), bool(held["follows"]))
+    def restore(cls, held: Mapping[str, Any]) -> "StartFrame":
+        """Return the frame with these :meth:`arrays`, or what is :meth:`described` with its regression's."""
+        start, goal = (np.array(held[name], dtype=float) for name in ("start", "goal"))
+        return cls(start, goal, bool(held["follows"]), StartRegression.restore(held))
 
     @classmethod
-    def chosen(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
-        """Return the frame in which the mean of the other trajectories (N, 7) is nearer to the one left out.
-
-        For a single demonstration it is the identity.
+    def following(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
+        """Return the frame that follows starts as trajectories do.
 
         Args:
-            trajectories: demonstrated poses at the agent's step.
+            trajectories: demonstrated poses (N, 7) at the agent's step.
             start: the nominal start, a pose (7,).
             goal: where all end, a pose (7,).
         """
-        places = start[pose.POSITION], goal[pose.POSITION]
-        still, moved = cls(*places, follows=False), cls(*places, follows=True)
+        return cls(start[pose.POSITION], goal[pose.POSITION], follows=True).fitted(trajectories)
+
+    @classmethod
+    def chosen(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
+        """Return the frame in which the mean of the other trajectories is nearer to the one left out.
+
+        It is that of :meth:`following`, which has the same arguments, or the identity; for a single demonstration the
+        identity.
+        """
+        still = cls(start[pose.POSITION], goal[pose.POSITION], follows=False)
         if len(trajectories) == 1:
             return still
+        moved = cls.following(trajectories, start, goal)
         gain = still._left_out_gap(trajectories) - moved._left_out_gap(trajectories)
         return moved if gain > _LEAST_GAIN_M else still
+
+    def fitted(self, trajectories: Sequence[Array]) -> "StartFrame":
+        """Return the frame with the regression of trajectories (N, 7); itself if it follows nothing."""
+        if not self.follows:
+            return self
+        fading = replace(self, regression=None)
+        starts = np.array([rows[0, pose.POSITION] for rows in trajectories])
+        return replace(self, regression=StartRegression.fitted(starts, fading.each(trajectories)))
 
     def _left_out_gap(self, trajectories: Sequence[Array]) -> float:
         """Return the mean distance [m] of trajectories from the mean of the others, transformed to their start."""
         from scipy.spatial import cKDTree
 
-        local = self.each(trajectories)
         gaps = []
         for index, rows in enumerate(trajectories):
-            mean = mean_poses(local[:index] + local[index + 1 :], len(rows))
-            path = self.from_frame(mean, rows[:1], mean)
+            others = [*trajectories[:index], *trajectories[index + 1 :]]
+            frame = self.fitted(others)
+            mean = mean_poses(frame.each(others), len(rows))
+            path = frame.from_frame(mean, rows[:1], mean)
             gaps.append(cKDTree(path[:, pose.POSITION]).query(rows[:, pose.POSITION])[0].mean())
         return float(np.mean(gaps))
 
-    def _moved(self, poses: Array, starts: Array, weighed: Array, sign: float) -> Array:
-        """Return poses (..., 7) moved by the offset of starts (..., 7), weighted as at ``weighed`` (..., 7)."""
-        left = pose.norm(weighed[..., pose.POSITION] - self.goal, keepdims=True)
+    def _off(self, starts: Array) -> Array:
+        return np.asarray(starts[..., pose.POSITION] - self.start)
+
+    def _fading(self, poses: Array, starts: Array) -> Array:
+        """Return the share (..., 1) of the offset of starts (..., 7) that is left at poses (..., 3 or more)."""
+        left = pose.norm(poses[..., pose.POSITION] - self.goal, keepdims=True)
         whole = pose.norm(starts[..., pose.POSITION] - self.goal, keepdims=True)
-        offset = starts[..., pose.POSITION] - self.start
-        position = poses[..., pose.POSITION] + sign * np.minimum(left / np.maximum(whole, 1e-9), 1.0) * offset
-        return np.concatenate([position, poses[..., pose.QUATERNION]], axis=-1)
+        return np.minimum(left / np.maximum(whole, 1e-9), 1.0)
 
 
 STILL = StartFrame(np.zeros(3), np.zeros(3), follows=False)

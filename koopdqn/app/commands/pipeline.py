@@ -143,6 +143,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     if "task" in own and config.derived is None:
         config = replace(config, chosen=task)
     elif "task" in own and config.derived is not None and isinstance(task, DemonstratedTask):
+        task = task.showing(agent_steps(config.derived.training, task))
         config = replace(config, derived=replace(config.derived, task=task))
     return replace(
         config,
