@@ -75,7 +75,9 @@ def beside(folder: Path, run: Path) -> dict[str, Any]:
 
     Returns:
         ``placed``: whether the demonstrations were moved to where the arm can follow them; ``hausdorff_mm``: by the
-        name of the primitive, which is given the start of the one held out and the mean of the others' ends.
+        name of the primitive, which is given the start of the one held out and the mean of the others' ends;
+        ``geodesic_deg``: the mean angle of the one held out to the nearest turn on the way from its start's straight to
+        the goal's, the only way that Table 1 turns.
     """
     path = folder / "result.json"
     if not path.is_file():
@@ -85,6 +87,9 @@ def beside(folder: Path, run: Path) -> dict[str, Any]:
         for name in PRIMITIVES:
             way = learn(name, shown)(held_out[0], goal)
             found[name] = 1e3 * hausdorff(way[:, pose.POSITION], held_out[:, pose.POSITION])
-        write_json(path, {"placed": run.name == "placed", "hausdorff_mm": found})
+        straight = np.linspace(0.0, float(pose.rotation_distance(held_out[0], goal)), _SAMPLES)
+        turns = pose.make(goal[:3], pose.turned_toward(held_out[0, pose.QUATERNION], goal[pose.QUATERNION], straight))
+        off = np.degrees(pose.rotation_distance(held_out[:, None], turns[None]).min(axis=1).mean())
+        write_json(path, {"placed": run.name == "placed", "hausdorff_mm": found, "geodesic_deg": float(off)})
     content: dict[str, Any] = read_json(path, "the result")
     return content

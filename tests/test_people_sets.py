@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_shown import arc, recorded
-from people_sets import sets_below
+from people_sets import beside, sets_below
 
 from koopdqn import pose
 from koopdqn.demonstrations.csv import write_csv
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.hdf5 import write_hdf5
 
 
 def rostopic(path: Path, poses: pose.Array) -> None:
@@ -38,3 +40,15 @@ def test_what_cannot_be_read_is_said(tmp_path: Path, capsys: pytest.CaptureFixtu
     (tmp_path / "odd.txt").write_text(f"{head}\n1,2\n", encoding="utf-8")
     assert sets_below(tmp_path) == {}
     assert told in " ".join(capsys.readouterr().err.split())
+
+
+def test_how_far_a_demonstration_turns_off_the_straight_turn_is_measured(tmp_path: Path) -> None:
+    turned = arc()
+    # There and back by 90° while start and goal are turned alike: 45° off on average.
+    angle = 0.5 * np.pi * (1.0 - np.abs(np.linspace(-1.0, 1.0, len(turned))))
+    turn = pose.from_rotation_vector(angle[:, None] * np.array([1.0, 0.0, 0.0]))
+    turned[:, pose.QUATERNION] = pose.multiply(turned[:, pose.QUATERNION], turn)
+    items = (recorded(arc()), recorded(arc(0.01)), recorded(turned))
+    (tmp_path / "run").mkdir()
+    write_hdf5(tmp_path / "run" / "demos.hdf5", Demonstrations("demonstrated", "unknown", items))
+    assert beside(tmp_path, tmp_path / "run")["geodesic_deg"] == pytest.approx(45.0, abs=1.0)

@@ -224,11 +224,7 @@ def intents(studies: Studies) -> Table | MissingPart:
     if not rows:
         reason = "It needs demonstrations that allow a fit, and none were found."
         return MissingPart(what="The table of intents", reason=reason)
-    return Table(
-        "Intents compared",
-        ("intent", *texts),
-        rows,
-    )
+    return Table("Intents compared", ("intent", *texts), rows)
 
 
 _TRAINING: Final = (
@@ -248,11 +244,7 @@ def training(groups: Groups) -> Table:
         learned = f"{sum(run.train['learned'] for run in runs)} of {len(runs)}"
         cells = (quantity.over(_trained(runs)) for quantity in _TRAINING)
         rows.append((Cell(f"{task}, {preset} preset"), Cell(learned, [run.train_file for run in runs]), *cells))
-    return Table(
-        "What training took",
-        ("task", "learned", *(quantity.name for quantity in _TRAINING)),
-        rows,
-    )
+    return Table("What training took", ("task", "learned", *(quantity.name for quantity in _TRAINING)), rows)
 
 
 _EVALUATION: Final = (
@@ -277,11 +269,7 @@ def evaluation(groups: Groups) -> Table | MissingPart:
     if not rows:
         what, reason = "The table of evaluations", "It needs evaluations, and none was found."
         return MissingPart(what=what, reason=reason, command="koopdqn report report.make=true")
-    return Table(
-        "From held-out starts",
-        ("method", *(quantity.name for quantity in _EVALUATION)),
-        rows,
-    )
+    return Table("From held-out starts", ("method", *(quantity.name for quantity in _EVALUATION)), rows)
 
 
 _ABLATED: Final = (
