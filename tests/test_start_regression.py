@@ -121,4 +121,7 @@ def test_what_it_holds_restores_it(frame: StartFrame) -> None:
     starts = np.array([rows[0] for rows in shown(5, seed=1)])
     poses = np.array([rows[60] for rows in shown(5, seed=1)])
     np.testing.assert_array_equal(found.to_frame(poses, starts), frame.to_frame(poses, starts))
+    for name, odd in {"path": found.arrays()["path"][:1], "shifts": np.full((40, 3, 3), np.nan)}.items():
+        with pytest.raises(ValueError, match="must have at least two places, and all of it be finite"):
+            StartFrame.restore({**frame.arrays(), name: odd})
     assert StartRegression.restore(StartFrame(frame.start, frame.goal, follows=True).arrays()) is None

@@ -68,9 +68,17 @@ class StartRegression:
 
     @classmethod
     def restore(cls, held: Mapping[str, np.ndarray]) -> "StartRegression | None":
-        """Return the regression with these :meth:`arrays`; None where there are none."""
-        names = [each.name for each in fields(cls)]
-        return cls(*(np.asarray(held[name], dtype=float) for name in names)) if "path" in held else None
+        """Return the regression with these :meth:`arrays`; None where there are none.
+
+        Raises:
+            ValueError: one is not finite, or the path is no path.
+        """
+        if "path" not in held:
+            return None
+        arrays = [np.asarray(held[each.name], dtype=float) for each in fields(cls)]
+        if len(arrays[0]) < 2 or not all(np.isfinite(each).all() for each in arrays):
+            raise ValueError("the start frame's path must have at least two places, and all of it be finite")
+        return cls(*arrays)
 
     @classmethod
     def fitted(cls, starts: Array, local: Sequence[Array]) -> "StartRegression | None":
