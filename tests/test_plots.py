@@ -270,3 +270,8 @@ def test_no_path_is_shown_edge_on_where_the_front_shows_more(
 
     paths = [np.zeros((1, 3)), np.array([extent])]
     assert two_planes(paths) == planes
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.423, "0.42"), (4.2, "4.2"), (14.04, "14"), (102.6, "100"), (0.0, "0")])
+def test_a_number_in_a_picture_has_two_digits_and_no_exponent(value: float, text: str) -> None:
+    assert style.two_digits(value) == text

@@ -194,7 +194,7 @@ def _named(trust: TrustDomain) -> str:
     """Return what the legend says of the trust domain."""
     if isinstance(trust, Tube):
         radius = trust.radius[:, 0] * _MM
-        return f"trusted: radius {radius.min():.2g} to {radius.max():.2g} mm"
+        return f"trusted: radius {style.two_digits(radius.min())} to {style.two_digits(radius.max())} mm"
     return f"trusted: mean ± {trust.settings.sigmas:g} σ" if isinstance(trust, Box) else "trusted"
 
 
@@ -228,7 +228,7 @@ def _components(axes: Axes, error: dict[str, dict[str, float]], scale: float, la
     axes.bar(place - 0.2, rms, 0.38, color=style.BLUE, label="RMS")
     axes.bar(place + 0.2, largest, 0.38, color=style.PALE, label="largest")
     for x, value in (*zip(place - 0.2, rms, strict=True), *zip(place + 0.2, largest, strict=True)):
-        text = f"{value:.2g}" if value >= 1e-3 else "0"
+        text = style.two_digits(value) if value >= 1e-3 else "0"
         axes.annotate(text, (x, value), (0, 2), textcoords="offset points", ha="center", fontsize=9, color=style.INK)
     axes.set_xticks(place, [name.replace("_", " ") for name in names])
     axes.set_ylim(0, 1.45 * max(float(largest.max()), 1e-6))

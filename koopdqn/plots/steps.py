@@ -8,7 +8,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.intent.trust import COMPONENTS, components_of
 from koopdqn.paths import to_count
-from koopdqn.plots.style import BLUE, GREEN, GREY, ORANGE, RED, TRUST, picture
+from koopdqn.plots.style import BLUE, GREEN, GREY, ORANGE, RED, TRUST, picture, two_digits
 from koopdqn.pose import Array
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.task import Task
@@ -50,7 +50,7 @@ def plot_components(path: Path, trajectories: list[Array], task: Task, first: in
             axes.set(xlim=(0, longest - 1), ylim=(middle - half, middle + half))
             axes.set_ylabel(f"{COMPONENTS[index]} [{unit}]")
             extents = deviation.max(), np.ptp(samples[:, 0])
-            largest, apart = (f"{extent if extent > _ROUNDING else 0:.2g}{gap}{unit}" for extent in extents)
+            largest, apart = (two_digits(extent if extent > _ROUNDING else 0.0) + f"{gap}{unit}" for extent in extents)
             axes.set_title(f"largest σ {largest}, starts differ by up to {apart}", fontsize=9)
         stack[-1].set_xlabel("step of the demonstration")
         stack[0].legend(loc="best", ncols=3)

@@ -145,6 +145,11 @@ def two_planes(paths: Sequence[Array]) -> tuple[str, str]:
     return ("side" if least == "top" else "top"), "front"
 
 
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits, a large one without an exponent: 0.42, 4.2, 420."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
 def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Array]) -> None:
     """Set up a projection: labels, start region, goal, equal scales, limits around positions (N, 3) [m] and both.
 
