@@ -52,7 +52,7 @@ def test_a_policy_comes_back_with_what_its_frame_learned_of_starts(tmp_path: Pat
         rows = parts.task.goal + (1.0 - share) * (start - parts.task.goal)
         rows[:, 2] += np.sin(np.pi * share[:, 0]) * (start[0] - parts.task.nominal_start[0])
         shown.append(rows)
-    frame = following(parts).fitted(shown)
+    frame = StartFrame.following(shown, parts.task.nominal_start, parts.task.goal)
     assert frame.regression is not None
     written = tmp_path / "policy.safetensors"
     write_policy(written, learner(parts).policy_arrays(), parts.agent.network, frame, about(parts))

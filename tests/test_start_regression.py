@@ -12,7 +12,6 @@ from koopdqn.tasks.start_regression import StartRegression
 GOAL = np.array([0.6, 0.15, 0.5])
 START = pose.make([0.5, -0.2, 0.4], pose.IDENTITY[pose.QUATERNION])
 END = pose.make(GOAL, pose.IDENTITY[pose.QUATERNION])
-FADING = StartFrame(START[:3], GOAL, follows=True)
 
 offsets = st.lists(st.floats(-0.03, 0.03, allow_nan=False), min_size=3, max_size=3).map(np.array)
 shares = st.floats(0.0, 1.0, allow_nan=False)
@@ -47,15 +46,16 @@ def foretold(frame: StartFrame, trajectories: list[Array], start: Array) -> Arra
 
 
 def test_the_path_of_another_start_is_foretold_where_its_offset_does_more_than_fade(frame: StartFrame) -> None:
+    fading = StartFrame(frame.start, frame.goal, follows=True)
     for other in shown(5, seed=1):
-        near, far = (hausdorff(foretold(each, shown(12), other[0])[:, :3], other[:, :3]) for each in (frame, FADING))
+        near, far = (hausdorff(foretold(each, shown(12), other[0])[:, :3], other[:, :3]) for each in (frame, fading))
         assert near < 0.45 * far
 
 
 def test_more_demonstrations_of_one_law_foretell_it_better() -> None:
     def off(count: int) -> float:
         known = shown(count)
-        frame = FADING.fitted(known)
+        frame = StartFrame.following(known, START, END)
         return float(np.mean([hausdorff(foretold(frame, known, o[0])[:, :3], o[:, :3]) for o in shown(8, seed=1)]))
 
     assert off(40) < off(10) < off(3)
@@ -100,14 +100,14 @@ def test_the_motion_is_linear_in_the_offset_and_smooth_along_the_path(frame: Sta
 
 def test_nothing_is_told_from_demonstrations_of_one_start_or_alone() -> None:
     same = [path(np.zeros(3)), path(np.zeros(3))]
-    assert FADING.fitted(same).regression is None
-    assert FADING.fitted(shown(1)).regression is None
+    assert StartFrame.following(same, START, END).regression is None
+    assert StartFrame.following(shown(1), START, END).regression is None
 
 
 def test_each_unseen_is_placed_by_what_the_others_show(frame: StartFrame) -> None:
     known = shown(12)
     unseen = frame.each_unseen(known)
-    others = FADING.fitted(known[:4] + known[5:])
+    others = StartFrame.following(known[:4] + known[5:], START, END)
     np.testing.assert_array_equal(unseen[4], others.to_frame(known[4], known[4][:1]))
     # They differ more from one another than where each has shaped the frame.
     spread, fitted = (np.std([rows[75, :3] for rows in each], axis=0).sum() for each in (unseen, frame.each(known)))
@@ -124,18 +124,4 @@ def test_what_it_holds_restores_it(frame: StartFrame) -> None:
     for name, odd in {"path": found.arrays()["path"][:1], "shifts": np.full((40, 3, 3), np.nan)}.items():
         with pytest.raises(ValueError, match="must have at least two places, and all of it be finite"):
             StartFrame.restore({**frame.arrays(), name: odd})
-    assert StartRegression.restore(FADING.arrays()) is None
-
-
-def test_it_is_used_only_where_it_brings_what_was_left_out_nearer() -> None:
-    share = np.linspace(0.0, 1.0, 150)[:, None]
-    known = []
-    # From either start people swing out to either side.
-    for begun in (-0.02, 0.02):
-        for side in (-0.01, 0.01):
-            rows = path(np.zeros(3))
-            rows[:, :3] += (1.0 - share) * [0.0, 0.0, begun] + np.sin(np.pi * share) * [side, 0.0, 0.0]
-            known.append(rows)
-    chosen = StartFrame.chosen(known, START, END)
-    assert chosen.follows
-    assert chosen.regression is None
+    assert StartRegression.restore(StartFrame(frame.start, frame.goal, follows=True).arrays()) is None

@@ -160,7 +160,6 @@ class Derivation(TaskChoice):
             turning=turning,
             held_limit_rad=self.held_limit_rad,
             follows_start=frame.follows,
-            regresses_start=frame.regression is not None,
             start_margin_m=self.start_margin_m,
             holdout=kept,
             training=training.digest(),
@@ -207,8 +206,6 @@ def _taken_out(recorded: Demonstration, smoothed: Demonstration) -> float:
 def _about_ends(task: DemonstratedTask, spread: float) -> str:
     start, goal = (np.round(each[pose.POSITION], 4).tolist() for each in (task.nominal_start, task.goal))
     follows = "keep their offset, fading toward the goal" if task.follows_start else "meet the others"
-    if task.regresses_start:
-        follows += ", and swing out as those shown do"
     half = [round(1e3 * value) for value in task.start_half_range_m]
     return (
         f"start: around {start} m, within ±{task.start_margin_m * 1e3:g} mm of a demonstrated one, together ±{half} mm;"

@@ -45,9 +45,6 @@ class DemonstratedTask(Task):
     follows_start: bool = Field(
         description="whether a path keeps the offset of its start from the others', fading toward the goal"
     )
-    regresses_start: bool = Field(
-        default=False, description="whether what else its start changes is regressed on demonstrated starts"
-    )
     holdout: int = Field(ge=0, description="demonstrations kept for evaluation")
     training: Sha256 = Field(description="SHA-256 of the training demonstrations' content")
 
@@ -109,8 +106,9 @@ class DemonstratedTask(Task):
     @cached_property
     def person_frame(self) -> StartFrame:
         """The start frame, chosen by leaving one demonstration out at a time."""
-        frame = StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], self.follows_start)
-        return frame.fitted(self.trajectories) if self.regresses_start else frame
+        if self.follows_start:
+            return StartFrame.following(self.trajectories, self.nominal_start, self.goal)
+        return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], follows=False)
 
     @cached_property
     def reference_path(self) -> ReferencePath:

@@ -23,7 +23,7 @@ class StartFrame:
 
     Paths from different starts often keep their offset for much of the way. As with movement primitives, the start's
     offset is subtracted and fades toward the goal: position p becomes p − w·(start − nominal start) with
-    w = min(1, ‖p − goal‖ / ‖start − goal‖). What demonstrations show beyond that may be regressed on the start
+    w = min(1, ‖p − goal‖ / ‖start − goal‖). What demonstrations show beyond that is regressed on the start
     (:class:`koopdqn.tasks.start_regression.StartRegression`) and subtracted too. Orientations stay: Table 1 turns
     toward the goal alone, whatever a start's orientation has been.
 
@@ -31,7 +31,7 @@ class StartFrame:
         start: (3,) the nominal start [m].
         goal: (3,) where all paths end [m].
         follows: whether paths follow their start; if not, the frame is the identity.
-        regression: of what else the start changes; None where only the offset fades.
+        regression: of what else the start changes; None where that is not known.
     """
 
     start: Array
@@ -92,29 +92,34 @@ class StartFrame:
         return cls(start, goal, bool(held["follows"]), StartRegression.restore(held))
 
     @classmethod
-    def chosen(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
-        """Return the frame in which the mean of the other trajectories (N, 7) is nearest to the one left out.
-
-        It is the identity, or follows starts without or with the regression; for a single demonstration the identity.
+    def following(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
+        """Return the frame that follows starts as trajectories do.
 
         Args:
-            trajectories: demonstrated poses at the agent's step.
+            trajectories: demonstrated poses (N, 7) at the agent's step.
             start: the nominal start, a pose (7,).
             goal: where all end, a pose (7,).
         """
-        places = start[pose.POSITION], goal[pose.POSITION]
-        best, fading = cls(*places, follows=False), cls(*places, follows=True)
+        return cls(start[pose.POSITION], goal[pose.POSITION], follows=True).fitted(trajectories)
+
+    @classmethod
+    def chosen(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
+        """Return the frame in which the mean of the other trajectories is nearer to the one left out.
+
+        It is that of :meth:`following`, which has the same arguments, or the identity; for a single demonstration the
+        identity.
+        """
+        still = cls(start[pose.POSITION], goal[pose.POSITION], follows=False)
         if len(trajectories) == 1:
-            return best
-        least = best._left_out_gap(trajectories)
-        for frame in (fading, fading.fitted(trajectories)):
-            gap = frame._left_out_gap(trajectories)
-            if gap < least - _LEAST_GAIN_M:
-                best, least = frame, gap
-        return best
+            return still
+        moved = cls.following(trajectories, start, goal)
+        gain = still._left_out_gap(trajectories) - moved._left_out_gap(trajectories)
+        return moved if gain > _LEAST_GAIN_M else still
 
     def fitted(self, trajectories: Sequence[Array]) -> "StartFrame":
-        """Return the frame, which follows starts, with the regression of trajectories (N, 7)."""
+        """Return the frame with the regression of trajectories (N, 7); itself if it follows nothing."""
+        if not self.follows:
+            return self
         fading = replace(self, regression=None)
         starts = np.array([rows[0, pose.POSITION] for rows in trajectories])
         return replace(self, regression=StartRegression.fitted(starts, fading.each(trajectories)))
@@ -126,7 +131,7 @@ class StartFrame:
         gaps = []
         for index, rows in enumerate(trajectories):
             others = [*trajectories[:index], *trajectories[index + 1 :]]
-            frame = self if self.regression is None else self.fitted(others)
+            frame = self.fitted(others)
             mean = mean_poses(frame.each(others), len(rows))
             path = frame.from_frame(mean, rows[:1], mean)
             gaps.append(cKDTree(path[:, pose.POSITION]).query(rows[:, pose.POSITION])[0].mean())
