@@ -43,8 +43,8 @@ class DemonstratedTask(Task):
     held_limit_rad: float = Field(gt=0, description="turn away from the goal that breaks the rule, where held [rad]")
     start_margin_m: float = Field(gt=0, description="how far a start lies from a demonstrated one, along each axis [m]")
     follows_start: bool = Field(
-        description="whether a path keeps the offset of its start from the others', fading toward the goal, and goes on as"
-        " a regression on the start says"
+        description="whether a path keeps the offset of its start from the others', fading toward the goal, and goes on"
+        " as a regression on the start says"
     )
     holdout: int = Field(ge=0, description="demonstrations kept for evaluation")
     training: Sha256 = Field(description="SHA-256 of the training demonstrations' content")
