@@ -25,6 +25,7 @@ _WORDS = (
     ("String should ", "must "),
     ("Tuple should ", "must "),
     ("List should ", "must "),
+    ("Value should ", "must "),
 )
 """How the phrases of pydantic's messages read here."""
 

@@ -4,7 +4,6 @@ A set is a CSV file of several demonstrations, or a folder of files of one each 
 prints), of at least three.
 """
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,9 +12,10 @@ import numpy as np
 from imitation.primitives import PRIMITIVES, learn
 
 from koopdqn import console, pose
-from koopdqn.demonstrations.csv import read_csv
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.recordings.declared import NOTHING
+from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.paths import hausdorff, mean_poses, to_count
@@ -23,7 +23,6 @@ from koopdqn.paths import hausdorff, mean_poses, to_count
 LEAST: Final = 3
 """Demonstrations of a set worth measuring: two to learn from and one held out."""
 _SAMPLES: Final = 200
-_NANOSECONDS: Final = 1e-9
 
 
 def sets_below(data: Path) -> dict[str, tuple[Demonstration, ...]]:
@@ -33,7 +32,7 @@ def sets_below(data: Path) -> dict[str, tuple[Demonstration, ...]]:
         single: list[Demonstration] = []
         for path in sorted(path for path in folder.iterdir() if path.suffix in (".csv", ".txt")):
             try:
-                items = _rostopic(path) if path.suffix == ".txt" else read_csv(path)
+                items = load(path, NOTHING, None).items
             except BadInputError as error:
                 console.note(f"left out: {error}")
                 continue
@@ -44,22 +43,6 @@ def sets_below(data: Path) -> dict[str, tuple[Demonstration, ...]]:
         if len(single) >= LEAST:
             found[folder.name] = tuple(single)
     return found
-
-
-def _rostopic(path: Path) -> list[Demonstration]:
-    """Return the one demonstration of what ``rostopic echo -p`` printed: nanoseconds, quaternions x y z w."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    if not rows or "%time" not in rows[0]:
-        raise BadInputError(f"{path}: must have a column %time, found {sorted(rows[0]) if rows else 'no rows'}")
-    before = next((name.removesuffix("position.x") for name in rows[0] if name.endswith("position.x")), None)
-    if before is None:
-        raise BadInputError(f"{path}: must have a column that ends in position.x, found {sorted(rows[0])}")
-    columns = [f"{before}position.{axis}" for axis in "xyz"] + [f"{before}orientation.{axis}" for axis in "wxyz"]
-    times = np.array([int(row["%time"]) for row in rows])
-    poses = np.array([[float(row[name]) for name in columns] for row in rows])
-    new = np.concatenate([[True], np.diff(times) > 0])
-    return [Demonstration((times[new] - times[0]) * _NANOSECONDS, poses[new])]
 
 
 def write(items: Sequence[Demonstration], held_out: int, path: Path) -> None:

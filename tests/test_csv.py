@@ -9,12 +9,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from koopdqn import pose
-from koopdqn.demonstrations.csv import ROTATIONS, Rotation, read_csv, write_csv
+from koopdqn.demonstrations.csv import ROTATIONS, Rotation, write_csv
 from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.demonstrations.recordings.declared import NOTHING
+from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
 
 HEAD = "t,x,y,z,qw,qx,qy,qz"
 ROWS = ["0.0,0.40,0.1,0.2,1,0,0,0", "0.1,0.41,0.1,0.2,1,0,0,0", "0.2,0.42,0.1,0.2,1,0,0,0"]
+
+
+def read_csv(path: Path) -> tuple[Demonstration, ...]:
+    return load(path, NOTHING, None).items
 
 
 def written(folder: Path, text: str | bytes) -> Path:
@@ -105,27 +111,27 @@ def test_a_time_that_repeats_now_and_then_keeps_its_first_row(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        (["", ""], ("header", "empty")),
-        ([HEAD], ("at least 2 samples", "none")),
+        (["", ""], ("rows of numbers", "found none")),
+        ([HEAD], ("rows of numbers below its header", "found none")),
         ([HEAD, ROWS[0]], ("at least 2 samples", "found 1")),
-        (["t,x,y,qw,qx,qy,qz", "0,0,0,1,0,0,0"], ("missing: z", "roll pitch yaw")),
-        (["t,x,y,z", "0,0,0,0"], ("exactly one of", "found 0")),
-        ([HEAD + ",rx,ry,rz", *(row + ",0,0,0" for row in ROWS)], ("exactly one of", "found 2")),
-        ([HEAD + ",x", *(row + ",0" for row in ROWS)], ("its own name", "x")),
+        (["t,x,y,qw,qx,qy,qz", "0,0,0,1,0,0,0"], ("columns of a pose", "x y z", "import.columns")),
+        (["t,x,y,z", "0,0,0,0"], ("import.orientation", "only positions")),
+        ([HEAD + ",x", *(row + ",0" for row in ROWS)], ("every column once", "two named x")),
         ([HEAD, *ROWS[:2], "0.2,nan,0.1,0.2,1,0,0,0"], ("line 4", "x", "nan")),
         ([HEAD, *ROWS[:2], "0.2,,0.1,0.2,1,0,0,0"], ("line 4", "x", "finite")),
         ([HEAD, *ROWS[:2], "0.2,left,0.1,0.2,1,0,0,0"], ("line 4", "left")),
         ([HEAD, *ROWS[:2], "0.2,0.4_2,0.1,0.2,1,0,0,0"], ("line 4", "x must be a finite number", "0.4_2")),
         ([HEAD, *ROWS[:2], "0.2,０.42,0.1,0.2,1,0,0,0"], ("line 4", "x must be a finite number", "０.42")),
         ([HEAD, *ROWS[:2], "0.2,0x1p-2,0.1,0.2,1,0,0,0"], ("line 4", "x must be a finite number", "0x1p-2")),
-        ([HEAD, *ROWS[:2], '"' + "9" * 200_000 + '",0,0.1,0.2,1,0,0,0'], ("must be CSV text", "field larger")),
-        ([HEAD, *ROWS[:2], "0.2,0.42,0.1"], ("line 4", "8 cells", "found 3")),
-        ([HEAD, *(row.replace("0.4", "40") for row in ROWS)], ("metres", "40", "mm")),
+        ([HEAD, *ROWS[:2], '"' + "9" * 200_000 + '",0,0.1,0.2,1,0,0,0'], ("must be rows of cells", "field larger")),
+        ([HEAD, *ROWS[:2], "0.2,0.42,0.1", "0.3,0.43,0.1,0.2,1,0,0,0"], ("line 4", "8 cells", "found 3")),
+        ([HEAD, *ROWS[:2], "0,2,0,42,0,1,0,2,1,0,0,0"], ("line 4", "8 cells as the header", "found 12")),
+        ([HEAD, *(row.replace("0.4", "40") for row in ROWS)], ("import.units", "mm or cm", "40", "metres")),
         ([HEAD, *(row.replace("1,0,0,0", "2,0,0,0") for row in ROWS)], ("line 2", "length 1", "2")),
-        (["t,x,y,z,rx,ry,rz", *(row[:-8] + ",180,0,0" for row in ROWS)], ("radians", "180", "degrees")),
-        (["t,x,y,z,roll,pitch,yaw", *(row[:-8] + ",0,90,0" for row in ROWS)], ("radians", "90", "degrees")),
+        (["t,x,y,z,rx,ry,rz", *(row[:-8] + ",180,0,0" for row in ROWS)], ("import.rotation", "import.angles", "180")),
+        (["t,x,y,z,roll,pitch,yaw", *(row[:-8] + ",0,90,0" for row in ROWS)], ("import.angles", "90", "rad")),
         ([HEAD, ROWS[0], ROWS[2], ROWS[1]], ("line 4", "increase", "0.1 after 0.2", "column demo")),
-        ([HEAD, *[ROWS[0]] * 5], ("increase", "4 of 5")),
+        ([HEAD, *[ROWS[0]] * 5], ("import.rate_hz", "4 of 5", "repeat")),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, lines: list[str], words: tuple[str, ...]) -> None:
@@ -137,5 +143,38 @@ def test_what_is_wrong_is_named(tmp_path: Path, lines: list[str], words: tuple[s
 
 
 def test_binary_content_is_no_csv(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="UTF-8"):
-        read_csv(written(tmp_path, b"\x89HDF\r\n\x1a\n\x00\xff\xfe"))
+    with pytest.raises(BadInputError, match="must be a file of text, HDF5"):
+        read_csv(written(tmp_path, b"t,x\n\x00\x01\xff\xfe"))
+
+
+def test_one_odd_byte_is_no_reason_to_refuse_a_file(tmp_path: Path) -> None:
+    text = "\n".join(["# arm 3, 20 °C, Müller", HEAD, *ROWS])
+    (item,) = read_csv(written(tmp_path, text.encode("cp1252")))
+    assert len(item) == 3
+
+
+def test_of_two_orientations_in_a_row_one_is_said_to_be_read(tmp_path: Path) -> None:
+    path = written(tmp_path, "\n".join([HEAD + ",rx,ry,rz", *(row + ",0,0,0" for row in ROWS)]))
+    assert "orientation from qw qx qy qz" in load(path, NOTHING, None).reasons
+
+
+def test_a_clock_in_milliseconds_is_asked_for_and_one_since_1970_is_seen(tmp_path: Path) -> None:
+    ticks = [f"{20 * index},{row[4:]}" for index, row in enumerate(ROWS)]
+    with pytest.raises(BadInputError, match=r"import.clock: .* 20 s from row to row are too long"):
+        read_csv(written(tmp_path, "\n".join([HEAD, *ticks])))
+    since = [f"{1_700_000_000_000 + 20 * index},{row[4:]}" for index, row in enumerate(ROWS)]
+    (item,) = read_csv(written(tmp_path, "\n".join([HEAD, *since])))
+    np.testing.assert_allclose(item.times, [0.0, 0.02, 0.04])
+
+
+def test_a_tool_offset_and_joints_count_whatever_the_clock_is_called(tmp_path: Path) -> None:
+    offset = ",".join(f"tcp_offset_{index}" for index in range(6))
+    for clock in ("t", "time"):
+        rows = [f"{row},0,0,0.15,0,0,0" for row in ROWS]
+        (item,) = read_csv(written(tmp_path, "\n".join([HEAD.replace("t", clock, 1) + "," + offset, *rows])))
+        np.testing.assert_allclose(item.poses[:, 2], 0.05)
+
+
+def test_bars_separate_whatever_the_columns_are_called(tmp_path: Path) -> None:
+    (item,) = read_csv(written(tmp_path, "\n".join([HEAD, *ROWS]).replace(",", "|")))
+    assert len(item) == 3

@@ -19,9 +19,11 @@ from questions import written
 
 from koopdqn.artifact import Artifact, read_artifact, write_artifact
 from koopdqn.confined import confined
-from koopdqn.demonstrations.csv import read_csv, write_csv
+from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.recordings.declared import NOTHING
+from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
 from koopdqn.files import DEEPEST_JSON, parse_json, read_json
 from koopdqn.oracles.base import Answer
@@ -61,7 +63,7 @@ FILES: dict[str, tuple[Callable[[Path], None], Callable[[Path], object]]] = {
     "foreign.hdf5": (_foreign_hdf5, read_hdf5),
     "intent.npz": (_artifact, lambda path: read_artifact(path, "intent")),
     "policy.safetensors": (_artifact, lambda path: read_artifact(path, "intent")),
-    "demos.csv": (_csv, read_csv),
+    "demos.csv": (_csv, lambda path: load(path, NOTHING, None)),
     "feedback.jsonl": (_journal, read_records),
     "train.json": (_json, lambda path: read_json(path, "the report")),
 }

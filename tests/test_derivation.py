@@ -61,6 +61,15 @@ def test_one_demonstration_is_enough_and_said_to_be_one() -> None:
     assert not any("one demonstration" in note for note in three().notes)
 
 
+def test_an_odd_one_is_said_to_be_odd() -> None:
+    items = [recorded(arc(0.003 * index)) for index in range(6)]
+    bulge = arc()
+    bulge[:, 2] += 0.1 * np.sin(np.linspace(0.0, np.pi, len(bulge))) ** 4
+    odd = RECIPE.model_copy(update={"holdout": 0}).derive(shown(*items[:2], recorded(bulge), *items[2:]))
+    assert [note[:16] for note in odd.notes if "the trust domain reaches" in note] == ["demonstration 2 "]
+    assert not any("the trust domain reaches" in note for note in three().notes)
+
+
 @pytest.mark.parametrize("holdout", [1, 5])
 def test_something_must_be_left_to_learn_from(holdout: int) -> None:
     with pytest.raises(BadInputError, match=rf"task.holdout .* found {holdout} of 1"):

@@ -12,11 +12,13 @@ from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.app import cli
-from koopdqn.demonstrations.csv import read_csv, write_csv
+from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations, Placement
 from koopdqn.demonstrations.derivation import blocked_at, find_placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
+from koopdqn.demonstrations.recordings.declared import NOTHING
+from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.tasks.workcell import Reachability, build_scene
@@ -104,7 +106,7 @@ def test_export_undoes_a_placement(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.chdir(tmp_path)
     write_hdf5(tmp_path / "moved.hdf5", Placement(np.array([0.1, -0.2, 0.3]), 0.5).moved(shown()))
     assert cli.main(["export", "demos=moved.hdf5", "out=back"]) == 0
-    for item, original in zip(read_csv(tmp_path / "back" / "demos.csv"), shown().items, strict=True):
+    for item, original in zip(load(tmp_path / "back" / "demos.csv", NOTHING, None).items, shown().items, strict=True):
         np.testing.assert_allclose(item.poses[:, :3], original.poses[:, :3], atol=1e-9)
 
 

@@ -88,6 +88,13 @@ def test_even_steps_keep_the_path() -> None:
     assert nearest.max() < 0.002
 
 
+@pytest.mark.parametrize("jump", [36 * 3600.0, 30 * 86400.0])
+def test_a_clock_that_jumps_by_days_is_not_filled_with_samples(jump: float) -> None:
+    item = recorded(arc())
+    times = item.times + jump * (np.arange(len(item)) >= 100)
+    np.testing.assert_array_equal(evened(Demonstration(times, item.poses)).times, times)
+
+
 def test_the_arm_follows_what_it_can(arm: Arm) -> None:
     inside = follow(recorded(arc()), arm)
     assert inside.share == 1.0
@@ -117,6 +124,14 @@ def test_the_odd_one_and_the_double_are_found() -> None:
     assert beside.spread_mm[0] > beside.spread_mm[-1]
 
 
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_one_driven_backwards_is_odd_however_few_there_are(count: int) -> None:
+    items = [recorded(arc(0.004 * index)) for index in range(count)]
+    assert compare(items).odd == []
+    back = Demonstration(items[1].times, items[1].poses[::-1].copy())
+    assert compare([items[0], back, *items[2:]]).odd == [1]
+
+
 def test_the_mean_of_others_is_that_of_those_that_follow() -> None:
     items = [recorded(arc(0.004 * index**2)) for index in range(5)]
     paths = [1e3 * to_count(item.poses, 51)[:, :3] for item in items]
@@ -139,6 +154,39 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     assert cli.main([*arguments, "--json"]) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
+
+
+def _finding(found: dict[str, Any], name: str) -> dict[str, str]:
+    [line] = [each for each in found["findings"] if each["name"] == name]
+    result: dict[str, str] = line
+    return result
+
+
+def test_inspect_says_what_fit_refuses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    good = [recorded(arc(0.004 * index)) for index in range(4)]
+    back = Demonstration(good[3].times, good[3].poses[::-1].copy())
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    circle = np.stack([0.45 + 0.1 * np.cos(angle), 0.1 * np.sin(angle), np.full(200, 0.35)], axis=1)
+    sets = {
+        "good": (good, "good", "starts and ends"),
+        "back": ([good[0], back, *good[1:]], "bad", "demonstration 1 must end within task.end_spread"),
+        "circle": ([Demonstration(0.02 * np.arange(200.0), pose.make(circle, [1.0, 0, 0, 0]))], "bad", "must start at"),
+    }
+    for name, (items, state, text) in sets.items():
+        write_csv(Path(f"{name}.csv"), items)
+        line = _finding(run(capsys, "inspect", f"demos={name}.csv", f"out=runs/{name}"), "one task")
+        assert line["state"] == state
+        assert text in line["text"]
+        assert (cli.main(["fit", "task=demonstrated", f"demos={name}.csv", f"out=runs/fit-{name}"]) == 0) == (
+            state == "good"
+        )
+        capsys.readouterr()
+    line = _finding(run(capsys, "inspect", "task=shelf", "demos=good.csv", "out=runs/shelf"), "one task")
+    assert line["state"] == "bad"
+    assert "of the goal of task shelf" in line["text"]
 
 
 def test_inspect_writes_what_its_schema_says_and_leaves_the_source(

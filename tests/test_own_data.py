@@ -9,8 +9,10 @@ import pytest
 from helpers_shown import arc, recorded
 
 from koopdqn.app import cli
-from koopdqn.demonstrations.csv import read_csv, write_csv
+from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.demonstrations.recordings.declared import NOTHING
+from koopdqn.demonstrations.recordings.load import load
 
 
 @pytest.fixture
@@ -45,8 +47,8 @@ def test_import_keeps_every_sample_and_export_gives_it_back(logs: Path, printed:
     kept = read_hdf5(logs / "mine" / "demos.hdf5")
     assert kept.task == "demonstrated"
     printed("export", "demos=mine/demos.hdf5", "out=back", "export.rotation=quaternion")
-    for index, item in enumerate(read_csv(logs / "back" / "demos.csv")):
-        np.testing.assert_array_equal(item.poses, read_csv(logs / f"log_{index}.csv")[0].poses)
+    for index, item in enumerate(load(logs / "back" / "demos.csv", NOTHING, None).items):
+        np.testing.assert_array_equal(item.poses, load(logs / f"log_{index}.csv", NOTHING, None).items[0].poses)
 
 
 def test_several_files_may_be_named_in_brackets(logs: Path, printed: Printed) -> None:

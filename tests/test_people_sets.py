@@ -35,11 +35,10 @@ def test_a_set_is_a_file_of_several_or_a_folder_of_single_ones(tmp_path: Path) -
     np.testing.assert_allclose(found["kinova"][1].times, 0.01 * np.arange(200), atol=1e-9)
 
 
-@pytest.mark.parametrize(("head", "told"), [("a,b", "a column %time"), ("%time,b", "ends in position.x")])
-def test_what_cannot_be_read_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], head: str, told: str) -> None:
-    (tmp_path / "odd.txt").write_text(f"{head}\n1,2\n", encoding="utf-8")
+def test_what_cannot_be_read_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "odd.txt").write_text("%time,b\n1,2\n", encoding="utf-8")
     assert sets_below(tmp_path) == {}
-    assert told in " ".join(capsys.readouterr().err.split())
+    assert "columns of a pose" in " ".join(capsys.readouterr().err.split())
 
 
 def test_how_far_a_demonstration_turns_off_the_straight_turn_is_measured(tmp_path: Path) -> None:

@@ -118,6 +118,8 @@ WRITERS: dict[str, tuple[str, Callable[[Path], object], dict[str, Any], int]] = 
         RATED_WXYZ,
         2,
     ),
+    "npz of one array and a clock": ("a.npz", lambda p: _npz(p, t=TIMES, arm=POSES), {"quaternion": "wxyz"}, 1),
+    "npz of poses and a clock": ("a.npz", lambda p: _npz(p, poses=POSES, t=TIMES[:, None]), {"quaternion": "wxyz"}, 1),
     "npz of matrices": ("a.npz", lambda p: _npz(p, T=MATRICES, stamp=TIMES), {}, 1),
     "mat of columns": (
         "a.mat",
@@ -188,6 +190,30 @@ class Bomb:
 
     def __reduce__(self) -> tuple[Callable[[str], Any], tuple[str]]:
         return (exec, ("raise SystemExit('unpickled')",))
+
+
+def test_columns_of_one_array_may_be_declared_by_their_place(tmp_path: Path) -> None:
+    _npz(tmp_path / "a.npz", arm=POSES[:, :3], t=TIMES)
+    places = {name: index for index, name in enumerate("xyz")}
+    item, *_ = poses_in(tmp_path / "a.npz", columns=places, orientation=[1, 0, 0, 0])
+    np.testing.assert_array_equal(item[:, :3], POSES[:, :3])
+
+
+def test_arrays_of_another_length_are_said_to_be_left_out(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["obs/ee_position"], file["obs/ee_quaternion"] = POSES[:, :3], POSES[:-5, 3:]
+    with pytest.raises(BadInputError, match=rf"left out beside tables of {ROWS} rows: .*quaternion of {ROWS - 5} rows"):
+        poses_in(tmp_path / "a.h5", orientation=None)
+    said = declared({**RATE, "orientation": [1, 0, 0, 0], "columns": {"x": 0, "y": 1, "z": 2}})
+    loaded = load(tmp_path / "a.h5", said, None)
+    assert any(f"of {ROWS - 5} rows" in reason for reason in loaded.reasons)
+
+
+@pytest.mark.parametrize("columns", [7, 8, 16])
+def test_one_sample_is_too_few_in_any_form(tmp_path: Path, columns: int) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((1, columns)))
+    with pytest.raises(BadInputError, match="two rows or more"):
+        poses_in(tmp_path / "a.npy")
 
 
 def _pickled_npz(path: Path) -> None:

@@ -138,7 +138,7 @@ def test_declared_order_of_columns(tmp_path: Path) -> None:
     ("header", "columns", "keys"),
     [
         ("x y z q0 q1 q2 q3", (P, XYZW), ("import.quaternion", "import.rate_hz")),
-        ("t x y z qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("must be in metres",)),
+        ("t x y z qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("import.units", "too far in metres")),
         ("t tx ty tz qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("import.units",)),
         ("t pos_x pos_y pos_z roll pitch yaw", (TIMES, P, np.degrees(ANGLES)), ("import.angles",)),
         ("t pos_x pos_y pos_z rx ry rz", (TIMES, P, np.degrees(ANGLES)), ("import.rotation",)),

@@ -69,6 +69,20 @@ def test_a_single_demonstration_has_a_tube_of_fixed_radius() -> None:
         assert drawn.contains(aside, np.zeros(len(aside), dtype=int)).all() == contained
 
 
+@pytest.mark.parametrize(("alike", "aside"), [(5, 0.1), (3, 0.1), (5, 0.02), (8, 0.3)])
+def test_one_odd_demonstration_among_many_alike_counts_once(alike: int, aside: float) -> None:
+    rng = np.random.default_rng(0)
+    [path] = person(rng, 1)
+    shown = [path + 2e-4 * np.array([*rng.normal(size=3), 0, 0, 0, 0]) for _ in range(alike)]
+    odd = path.copy()
+    odd[:, 2] += aside * np.exp(-(((np.linspace(0.0, 1.0, len(path)) - 0.5) / 0.1) ** 2))
+    drawn = tube([*shown, odd])
+    steps = np.zeros(len(odd), dtype=int)
+    assert drawn.contains(odd, steps).all()
+    assert drawn.radius[:, 0].max() < 2.0 * aside
+    assert not drawn.contains(path + np.array([0.0, 0.0, 2.5 * aside, 0, 0, 0, 0]), steps).any()
+
+
 @settings(max_examples=30)
 @given(seed=st.integers(0, 50), turn=st.floats(0.0, 0.3), error=st.booleans())
 def test_distance_reason_and_inside_agree(seed: int, turn: float, error: bool) -> None:

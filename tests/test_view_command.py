@@ -2,14 +2,18 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from small_run import SMALL
 
 from koopdqn.app import cli
 from koopdqn.app.hydra.overrides import prepare
+from koopdqn.demonstrations.csv import write_csv
+from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.errors import BadInputError
 
 
@@ -66,10 +70,20 @@ def test_recordings_of_no_known_task_are_shown_with_the_arm_alone(run: Path, tmp
     assert all(len(motion["links"]) == len(motion["frames"]) for motion in content["motions"])
 
 
+def test_recordings_out_of_reach_are_shown_without_the_arm(run: Path, tmp_path: Path) -> None:
+    offset = np.array([3.0, 0, 0, 0, 0, 0, 0])
+    far = [replace(item, poses=item.poses + offset) for item in read_hdf5(run / "demos.hdf5").items]
+    write_csv(tmp_path / "far.csv", far)
+    assert cli.main(["view", f"demos={tmp_path}/far.csv", f"out={tmp_path}/page"]) == 0
+    motions = baked(tmp_path / "page" / "view.html")["motions"]
+    assert [motion["links"] for motion in motions] == [[]] * len(far)
+    assert all("follows 0 of" in motion["remark"] for motion in motions)
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("run={run}", "demos={run}/demos.hdf5"), "demos: koopdqn view shows either run= or demos=, found both"),
+        (("run={run}", "demos={run}/demos.hdf5"), "demos: koopdqn view takes either run= or demos=, found both"),
         (("demos={run}/demos.hdf5", "video=film.gif"), "video: needs a trained run to show, found demos= alone"),
         (("run={run}", "video=film.avi"), "video: must end in .mp4 or .gif, found 'film.avi'"),
         (("run={run}", "video={run}/demos.png.gif"), "video: must name a new file"),

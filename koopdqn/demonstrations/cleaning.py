@@ -20,6 +20,7 @@ _REST_S: Final = 0.2
 # A sample off the median of the five around it by more than this, and by six times what is usual, is an outlier, if it
 # is also farther from both neighbours than twice what lies between them and three usual steps; at a corner it is not.
 _OUT_M, _OUT_RAD, _USUAL = 0.005, 0.05, 6.0
+_MOST_TIMES: Final = 10.0
 
 
 class InspectSettings(Settings):
@@ -143,9 +144,15 @@ def _rows(item: Demonstration, kept: np.ndarray) -> Demonstration:
 
 
 def evened(item: Demonstration) -> Demonstration:
-    """Return a demonstration sampled evenly at its own median rate, without joint angles; ends stay."""
+    """Return a demonstration sampled evenly at its own median rate, without joint angles; ends stay.
+
+    One whose clock jumps so far that there would be over ten times as many samples is returned as it is.
+    """
     span = float(item.times[-1] - item.times[0])
-    count = max(2, round(span / float(np.median(np.diff(item.times)))) + 1)
+    steps = span / float(np.median(np.diff(item.times)))
+    if steps > _MOST_TIMES * len(item):
+        return item
+    count = max(2, round(steps) + 1)
     times = np.linspace(item.times[0], item.times[-1], count)
     before = np.clip(np.searchsorted(item.times, times, side="right") - 1, 0, len(item) - 2)
     share = (times - item.times[before]) / (item.times[before + 1] - item.times[before])

@@ -11,6 +11,7 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
+from koopdqn.demonstrations.inspection import compare
 from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
@@ -108,6 +109,7 @@ class Derivation(TaskChoice):
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_ABOUT_ONE[: len(learned) == 1],
+            *_about_odd(learned),
         )
         training = Demonstrations(self.name, demonstrations.arm, moved)
         return Derived(task, training, tuple(_oriented(item, goal, turning) for item in aside), notes)
@@ -225,6 +227,15 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
         f"step: {task.step_m * 1e3:.3g} mm, {min(steps)} to {max(steps)} a demonstration; orientation:"
         f" {meaning[task.turning]} (demonstrated up to {np.degrees(turned):.1f}° from the goal's)"
     )
+
+
+def _about_odd(items: Sequence[Demonstration]) -> list[str]:
+    beside = compare(items)
+    return [
+        f"demonstration {index} is {beside.deviation_mm[index]:.0f} mm off the others' mean, over three times as far as"
+        " they are, and the trust domain reaches as far; was it meant so?"
+        for index in beside.odd
+    ]
 
 
 _ABOUT_ONE = ("one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated",)

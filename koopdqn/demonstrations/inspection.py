@@ -27,6 +27,7 @@ _CLOSE_M, _FAR_M = 0.1, 2.0
 _PLACES: Final = 51
 _SAME_MM: Final = 0.1
 _ODD: Final = 3.0
+_MOST_ODD: Final = 10
 _GAP: Final = 10.0
 # One more demonstration tells little if it brings the one left out nearer by less than this share.
 _LITTLE: Final = 0.1
@@ -157,12 +158,18 @@ def compare(items: Sequence[Demonstration]) -> Together:
         # Of so many others those that follow in the order: each demonstration is left out once, each used as often.
         deviation = _apart(paths, (sums[1 + others : 1 + others + count] - sums[1 : 1 + count]) / others)
         curve.append(float(deviation.mean()))
-    rest = [float(np.median(np.delete(deviation, index))) for index in range(count)]
-    odd = [i for i in range(count) if count > 3 and deviation[i] > max(_ODD * rest[i], _FINE_MM)]
+    far = sorted(np.argsort(deviation)[-_MOST_ODD:].tolist()) if count > 2 else []
+    odd = [i for i in far if deviation[i] > max(_ODD * _usual(np.delete(paths, i, axis=0)), _FINE_MM)]
     mean = 1e3 * mean_poses([item.poses for item in items], _PLACES)[:, POSITION]
     spread = np.sqrt(((paths - mean) ** 2).sum(axis=2).mean(axis=0))
     places = np.linspace(0, _PLACES - 1, 5).astype(int)
     return Together(deviation.tolist(), same, odd, spread[places].tolist(), curve)
+
+
+def _usual(paths: Array) -> float:
+    """Return the median over paths (N, P, 3) of the mean distance of one from the mean of the others."""
+    total, others = paths.sum(axis=0), len(paths) - 1
+    return float(np.median(_apart(paths, (total - paths) / others)))
 
 
 def _apart(paths: Array, others: Array) -> Array:
@@ -170,9 +177,10 @@ def _apart(paths: Array, others: Array) -> Array:
     return np.asarray(np.linalg.norm(paths - others, axis=2).mean(axis=1))
 
 
-def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str) -> list[Finding]:
-    """Return the lines of the table."""
+def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str, refused: str) -> list[Finding]:
+    """Return the lines of the table; ``refused`` is why they make no task, or an empty text."""
     found = [_frame(each), _time(each), _samples(each), _reach(each, arm)]
+    found.append(_finding("one task", "bad" if refused else "good", refused or "starts and ends make one"))
     followed = [one for one in each if one.singular is not None and one.joint_speed is not None]
     if followed:
         least = min(one.singular or 0.0 for one in followed)
@@ -187,7 +195,7 @@ def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str)
         found.append(_finding("duplicates", "bad", f"{pairs} are the same: count them once"))
     elif len(each) > 1:
         found.append(_finding("duplicates", "good", "none"))
-    if len(each) > 3:
+    if len(each) > 2:
         text = f"{', '.join(map(str, beside.odd))}: more than three times as far off as the others"
         found.append(_finding("odd one out", "look" if beside.odd else "good", text if beside.odd else "none"))
     if beside.spread_mm:
@@ -212,7 +220,7 @@ def _frame(each: Sequence[InspectedDemonstration]) -> Finding:
 def _time(each: Sequence[InspectedDemonstration]) -> Finding:
     gap = max(one.largest_gap for one in each)
     idle = sum(one.idle_before_seconds + one.idle_after_seconds for one in each)
-    text = f"longest step {gap:.1f} times the usual one; {idle:.1f} s idle at the ends"
+    text = f"longest step {gap:,.1f} times the usual one; {idle:.1f} s idle at the ends"
     return _finding("time", "look" if gap > _GAP else "good", text)
 
 

@@ -35,6 +35,7 @@ class CorrectionSettings(Settings):
     """What ``koopdqn correct`` is shown."""
 
     waypoints: Annotated[tuple[Vector3, ...], BeforeValidator(_to_waypoints)] | None = Field(
+        min_length=1,
         max_length=MOST_WAYPOINTS,
         description="the better way, in the order in which the path passes it: positions in UR Base, or a CSV file [m];"
         " null: a person at the terminal shows it",
@@ -50,6 +51,8 @@ def read_waypoints(path: Path) -> tuple[tuple[float, ...], ...]:
     if not path.is_file():
         raise ValueError(f"must be a list of positions or a CSV file of them, found no file {str(path)!r}")
     try:
+        if not path.read_text(encoding="utf-8").strip():
+            raise ValueError("an empty file")
         rows = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
     except ValueError as error:
         raise ValueError(f"{path}: must hold x,y,z a line, found {error}") from error

@@ -242,7 +242,7 @@ def fit(
     Raises:
         BadInputError: the demonstrations are of another task, or do not end at the goal.
     """
-    _check(demonstrations, task)
+    check_shown(demonstrations, task)
     shown = agent_steps(demonstrations, task)
     frame = intent.start_frame(shown, task)
     trajectories = frame.each_unseen(shown)
@@ -293,7 +293,8 @@ def fit(
     return Fitted(model, domain, checked, found.folds, contained, sixty)
 
 
-def _check(demonstrations: Demonstrations, task: Task) -> None:
+def check_shown(demonstrations: Demonstrations, task: Task) -> None:
+    """Raise BadInputError unless demonstrations are of a task, end at its goal and are at least a step long."""
     if demonstrations.task != task.name:
         raise BadInputError(f"the demonstrations must be of task {task.name}, found task {demonstrations.task}")
     for index, item in enumerate(demonstrations.items):

@@ -14,6 +14,9 @@ from koopdqn.pose import Array
 
 # Demonstrations needed to estimate the spread along the path with one left out.
 _LEAST_FOR_SPREAD = 3
+# One of n demonstrations is at most √n spreads of all from the others' mean; twice that, as the spread is averaged
+# along the path.
+_MOST_SPREADS = 2.0
 
 
 class TubeSettings(TrustSettings):
@@ -43,8 +46,9 @@ class TubeSettings(TrustSettings):
         """Return the tube of pose trajectories (N, 7) with right signs (N − 1, L, 2) each.
 
         A jackknife: a demonstration's score is the largest distance of its states from the mean of the others, in
-        spreads. The radius is the score of the given rank times the spread of all. With few demonstrations the coverage
-        is not guaranteed (Barber et al. 2021); ``fit.fresh`` measures it.
+        spreads. The radius is the score of the given rank times the spread of all, but at most 2√n times that spread:
+        an odd one among n that are alike is far off in their spread and widens that of all, which counts it twice. With
+        few demonstrations the coverage is not guaranteed (Barber et al. 2021); ``fit.fresh`` measures it.
         """
         middle = Middle.of(trajectories, self)
         if len(trajectories) == 1:
@@ -54,7 +58,9 @@ class TubeSettings(TrustSettings):
             for index, held_out in enumerate(trajectories):
                 others = Middle.of(trajectories[:index] + trajectories[index + 1 :], self, len(trajectories))
                 scores.append(float(others.distance(held_out).max()))
-            radius = float(np.sort(scores)[self.rank(len(scores)) - 1]) * middle.spread
+            count = len(scores)
+            most = np.inf if count < _LEAST_FOR_SPREAD else _MOST_SPREADS * np.sqrt(count)
+            radius = min(float(np.sort(scores)[self.rank(count) - 1]), most) * middle.spread
         places = [middle.nearest(rows[:-1]) for rows in trajectories]
         window = round(self.smoothing_m / self.spacing_m)
         sure = calibrate(places, signs, len(middle.poses), window, self)

@@ -88,7 +88,7 @@ class Motion:
             "colour": self.colour,
             "frames": frames.tolist(),
             "path": rounded(self.poses[frames, pose.POSITION]),
-            "links": rounded(link_poses(workcell_scene, self.joints[followed]).reshape(len(followed), -1)),
+            "links": [rounded(row.ravel()) for row in link_poses(workcell_scene, self.joints[followed])],
             "sources": None if self.sources is None else self.sources[frames].tolist(),
             "edge": None if self.edge is None else rounded(self.edge[frames]),
             "strips": [

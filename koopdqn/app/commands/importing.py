@@ -145,9 +145,10 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
         for index, each in enumerate(cut[:_MOST_SHOWN])
     ]
     headings = ("demo", "samples", "time", "idle before", "after", "path", "turn", "reached")
+    count = f"{len(demonstrations)} demonstration{'s' if len(demonstrations) > 1 else ''}"
     lines: list[RenderableType] = [
         *recognised(read),
-        console.table(headings, rows, (), title=f"{len(demonstrations)} demonstrations for task {name}"),
+        console.table(headings, rows, (), title=f"{count} for task {name}"),
         *([f"and {len(cut) - _MOST_SHOWN} more, which --json lists"] if len(cut) > _MOST_SHOWN else []),
         "idle ends are kept in the file; learning cuts them off",
         f"demonstrations  {console.shown_path(path)}",

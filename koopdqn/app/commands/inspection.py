@@ -12,12 +12,14 @@ from koopdqn.app.commands.pipeline import DEMONSTRATIONS
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.cleaning import STEPS, Cleaned, clean
 from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.demonstrations.inspection import compare, describe, findings
 from koopdqn.demonstrations.preprocess import trim_idle_each
 from koopdqn.demonstrations.schema import InspectedDemonstration, InspectedFile, InspectionFile
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
+from koopdqn.intent.fit import check_shown
 
 _COLOURS = {"good": "green", "look": "yellow", "bad": "bold red"}
 
@@ -38,7 +40,8 @@ def inspect(config: Configuration, folder: Path) -> CommandResult:
         for raw, after, far in zip(demonstrations.items, cleaned, deviation, strict=True)
     ]
     path, picture = folder / DEMONSTRATIONS, folder / "inspect.png"
-    write_hdf5(path, Demonstrations(demonstrations.task, demonstrations.arm, items, 0, demonstrations.placement))
+    kept = Demonstrations(demonstrations.task, demonstrations.arm, items, 0, demonstrations.placement)
+    write_hdf5(path, kept)
     plot_inspection(picture, demonstrations.items, items, each, beside.spread_mm, beside.left_out_mm, config.robot.name)
     report = InspectionFile(
         files=[InspectedFile(file=str(one.path), kind=one.kind, reasons=list(one.reasons)) for one in read],
@@ -50,7 +53,7 @@ def inspect(config: Configuration, folder: Path) -> CommandResult:
         spread_mm=beside.spread_mm or None,
         left_out_mm=beside.left_out_mm,
         enough=beside.enough,
-        findings=findings(each, beside, config.robot.name),
+        findings=findings(each, beside, config.robot.name, _refused(config, kept)),
         file=str(path),
         picture=str(picture),
     )
@@ -72,6 +75,18 @@ def _cleaned(config: Configuration, demonstrations: Demonstrations, index: int) 
         return clean(demonstrations.items[index], config.inspect)
     except BadInputError as error:
         raise BadInputError(f"demonstration {index}: {error}") from error
+
+
+def _refused(config: Configuration, demonstrations: Demonstrations) -> str:
+    """Return why demonstrations make no task, or do not belong to the one that was chosen; an empty text if they do."""
+    try:
+        if isinstance(config.chosen, Derivation):
+            config.chosen.model_copy(update={"holdout": 0}).derive(demonstrations)
+        else:
+            check_shown(demonstrations, config.task)
+    except BadInputError as error:
+        return str(error)
+    return ""
 
 
 def _table(each: list[InspectedDemonstration]) -> RenderableType:

@@ -119,8 +119,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         raise BadInputError("--multirun: koopdqn stream moves one arm once, found it asked for several")
     folders = [_value(override) for override in prepared if _key(override) == "run"]
     named = bool(folders) and folders[-1] != "null"
-    if command == "view" and named and "demos" in keys:
-        raise BadInputError("demos: koopdqn view shows either run= or demos=, found both")
+    if command in ("view", "export") and named and "demos" in keys:
+        raise BadInputError(f"demos: koopdqn {command} takes either run= or demos=, found both")
     if command == "correct" and not named:
         raise BadInputError("run: must name the trained run to correct, found none")
     if (

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 
-from koopdqn.demonstrations.csv import rows_by_text
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.layout import layout_of
 from koopdqn.demonstrations.recordings.poses import PoseColumns
@@ -80,6 +79,15 @@ def _tool(values: Array) -> Array | None:
     if np.ptp(values, axis=0).max() > 0:
         return None
     return pose.make(values[0, :3], pose.from_rotation_vector(values[0, 3:]))
+
+
+def rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the rows that hold each text of a column, both in the order in which they appear."""
+    numbered = {text: number for number, text in enumerate(dict.fromkeys(column))}
+    label = np.array([numbered[text] for text in column])
+    order = np.argsort(label, kind="stable")
+    parts = np.split(order, np.searchsorted(label[order], np.arange(1, len(numbered))))
+    return dict(zip(numbered, parts, strict=True))
 
 
 def _apart(whole: Recording, texts: Sequence[str]) -> list[Recording]:

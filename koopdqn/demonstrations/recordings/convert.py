@@ -71,7 +71,7 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
         except AskError as error:
             asked.append(str(error))
         _check_asked(recording, declared, asked)
-        poses = pose.make(position, quaternion)
+        poses = np.concatenate([position, quaternion], axis=1)
         poses = _at_flange(recording, poses, joints, declared, arm, reasons)
     if declared.base is not None:
         base = pose.make(declared.base[:3], pose.from_rotation_vector(declared.base[3:]))
@@ -175,7 +175,10 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
         # Rotation vectors are in radians wherever they are documented; arms that log degrees call their angles so.
         rotation = None
     if rotation not in ("vector", "angles"):
-        raise _ask(recording, "rotation", "vector or angles, as three numbers tell orientation in either way")
+        rule = "vector or angles, as three numbers tell orientation in either way"
+        if largest > _LARGEST_RAD and angles is None:
+            rule += f"; import.angles: deg or rad, as the largest is {largest:g}, more than once around in rad"
+        raise _ask(recording, "rotation", rule)
     if angles is None and largest > _LARGEST_RAD:
         raise _ask(recording, "angles", f"deg or rad, as the largest is {largest:g}, more than once around in rad")
     stated = "as declared" if declared.angles else "as a name says" if angles else f"as none is over 2π ({largest:.3g})"
@@ -201,7 +204,8 @@ def _ordered(recording: Recording, declared: ImportSettings, reasons: list[str])
             f"demos {recording.where}: {recording.row(int(wrong[0]))}: quaternions must have length 1 within"
             f" {_LENGTH_TOLERANCE}, found {length[wrong[0]]:.4g}"
         )
-    return np.asarray(pose.normalized(turn if order == "wxyz" else turn[:, [3, 0, 1, 2]]))
+    unit = turn / length[:, None]
+    return np.asarray(unit if order == "wxyz" else unit[:, [3, 0, 1, 2]])
 
 
 def _from_matrix(recording: Recording, matrices: Array) -> Array:
@@ -288,7 +292,7 @@ def _times(
         row = int(back[0]) + 1
         raise BadInputError(
             f"demos {recording.where}: {recording.row(row)}: time must increase, found {times[row]:g} after"
-            f" {times[row - 1]:g} s; import.rate_hz replaces it"
+            f" {times[row - 1]:g} s; a column demo tells several demonstrations apart, import.rate_hz replaces the time"
         )
     kept = _growing(times)
     lost = int(len(times) - kept.sum())

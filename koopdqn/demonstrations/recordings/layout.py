@@ -82,9 +82,14 @@ def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Lay
     if pose is None and not joints:
         found = ", ".join(names[:20]) + (" …" if len(names) > 20 else "")
         raise BadInputError(
-            f"demos {where}: must have columns of a pose, found none recognised among {found};"
-            " import.columns={x: NAME, …} says which they are, import.columns=[x,y,…] in their order"
+            f"demos {where}: must have columns of a pose such as x y z and qw qx qy qz, found none recognised among"
+            f" {found}; import.columns={{x: NAME, …}} says which they are, by name or place from 0,"
+            " import.columns=[x,y,…] in their order"
         )
+    used = (*time, *(() if demo is None else (demo,)), *((*pose.position, *pose.turn) if pose else joints))
+    if len(poses) < 2:
+        # Of two poses a row the names of one repeat those of the other; alone, a second x is an error.
+        _check_single(where, names, used)
     reasons = list(why_pose)
     if pose is not None:
         reasons.append(f"position from {_listed(names, pose.position)}")
@@ -94,6 +99,12 @@ def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Lay
         reasons.append(f"joints from {_listed(names, joints)}")
     reasons += why_time + ([f"demonstrations by column {names[demo]}"] if demo is not None else [])
     return Layout(pose, time, clock, demo, joints, angle_unit([known[i] for i in joints]), tool, tuple(reasons))
+
+
+def shows_motion(names: Sequence[str]) -> bool:
+    """Return whether names show a pose or joints."""
+    known = [parsed(name) for name in _without_twins(names)]
+    return bool(poses_of(known) or _joints_of(known))
 
 
 def _renamed(where: str, names: Sequence[str], roles: dict[str, str]) -> list[str]:
@@ -110,6 +121,12 @@ def _renamed(where: str, names: Sequence[str], roles: dict[str, str]) -> list[st
             raise BadInputError(f"import.columns: {role} must name a column of {where}, found {name!r}")
         result[place] = role
     return result
+
+
+def _check_single(where: str, names: Sequence[str], used: Sequence[int]) -> None:
+    twice = [names[place] for place in used if list(names).count(names[place]) > 1]
+    if twice:
+        raise BadInputError(f"demos {where}: must name every column once, found two named {twice[0]}")
 
 
 def _is_pose_part(name: Name) -> bool:

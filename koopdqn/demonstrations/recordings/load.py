@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from koopdqn.confined import SECONDS, Content, confined
-from koopdqn.demonstrations.csv import ROTATIONS, read_csv
+from koopdqn.demonstrations.csv import is_own
 from koopdqn.demonstrations.dataset import Demonstration, Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.recordings import datasets
@@ -63,8 +63,8 @@ class Loaded:
 def load(path: Path, declared: ImportSettings, arm: Arm | None) -> Loaded:
     """Return what a file or a folder holds.
 
-    koopdqn's own CSV and HDF5 are read as they stand; with something declared, CSV as any other text. All is read in a
-    process of its own, bounded in time and memory (:mod:`koopdqn.confined`).
+    koopdqn's own HDF5 is read as it stands. All is read in a process of its own, bounded in time and memory
+    (:mod:`koopdqn.confined`).
 
     Args:
         path: the file, or the folder of a ROS 2 bag or a LeRobot data set.
@@ -80,14 +80,15 @@ def load(path: Path, declared: ImportSettings, arm: Arm | None) -> Loaded:
         read = read_hdf5(path)
         kind = "HDF5, as koopdqn writes it"
         return Loaded(path, kind, (), tuple(read.items), (), read.task, read.arm, read.placement, own=True)
-    if path.is_file() and not declared.given() and _is_own_csv(path):
-        about, arrays = _bounded(path, lambda: _packed(tuple(read_csv(path)), (), declared.cut is True))
-        kind = "CSV, as koopdqn writes it"
-        return Loaded(path, kind, (), *_unpacked(about, arrays), own=True)
     found, why = kind_of(path)
     # Here, so that it need not be loaded again for the next file.
     found.load_library(path)
-    about, arrays = _bounded(path, lambda: _read(path, found, declared, arm))
+    own = found.name == "text" and not declared.given() and is_own(header_of(path))
+    # Our own tell demonstrations apart: a rest within one is no end.
+    cut = declared.cut is True or not own
+    about, arrays = _bounded(path, lambda: _read(path, found, declared, arm, cut))
+    if own:
+        return Loaded(path, "CSV, as koopdqn writes it", (), *_unpacked(about, arrays), own=True)
     return Loaded(path, f"{found.name}, as {why}", tuple(about["reasons"]), *_unpacked(about, arrays))
 
 
@@ -107,13 +108,13 @@ def _size_of(path: Path) -> int:
     return sum((Path(folder) / name).lstat().st_size for folder, _, names in os.walk(path) for name in names)
 
 
-def _read(path: Path, kind: Kind, declared: ImportSettings, arm: Arm | None) -> Content:
+def _read(path: Path, kind: Kind, declared: ImportSettings, arm: Arm | None, cut: bool) -> Content:
     recordings = kind.read(path, declared, arm)
     if len(recordings) > _MOST:
         raise BadInputError(f"demos {path}: must hold at most {_MOST} demonstrations, found {len(recordings)}")
     done = [converted(each, declared, arm) for each in recordings]
     reasons = tuple(dict.fromkeys(line for each in done for line in each.reasons))
-    return _packed(tuple(each.item for each in done), reasons, cut=True)
+    return _packed(tuple(each.item for each in done), reasons, cut)
 
 
 def _packed(items: tuple[Demonstration, ...], reasons: tuple[str, ...], cut: bool) -> Content:
@@ -134,11 +135,6 @@ def _unpacked(about: Any, arrays: list[np.ndarray]) -> tuple[tuple[Demonstration
         Demonstration(next(every), next(every), next(every) if joints else None) for joints in about["joints"]
     )
     return items, tuple(cut_between(items[0], *motion) for motion in about["motions"])
-
-
-def _is_own_csv(path: Path) -> bool:
-    names = set(header_of(path))
-    return names >= {"t", "x", "y", "z"} and sum(names >= set(columns) for columns in ROTATIONS.values()) == 1
 
 
 def _is_own_hdf5(path: Path) -> bool:

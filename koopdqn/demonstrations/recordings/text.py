@@ -22,8 +22,10 @@ LARGEST_BYTES: Final = 1 << 28
 # A comma last: where another separates, it is a decimal one.
 _DELIMITERS: Final = (";", "\t", "|", ",")
 _COMMENTS: Final = ("#", "%", "//")
-_NUMERAL: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
+_NUMERAL: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.ASCII | re.IGNORECASE)
 _HEAD: Final = 1 << 16
+_WESTERN: Final = "cp1252"
+_NO_TEXT: Final = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
 def recognise(path: Path) -> str | None:
@@ -52,8 +54,8 @@ def header_of(path: Path) -> tuple[str, ...]:
     """Return the names in a text file's header, in lower case; empty if it is no text or has none."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
-    text = _decoded(head, whole=len(head) < _HEAD)
-    every = (text or "").splitlines()
+    found = _decoded(head, whole=len(head) < _HEAD)
+    every = found[0].splitlines() if found else []
     kept = [number for number, line in enumerate(every) if line.strip(" \t,;|")]
     rows = [number for number in kept if not _is_comment(every[number])]
     names = _header(every, kept, rows)[1] if rows else None
@@ -137,15 +139,23 @@ def _table(path: Path) -> TextColumns:
     size = path.stat().st_size
     if size > LARGEST_BYTES:
         raise BadInputError(f"demos {path}: must be at most {LARGEST_BYTES >> 20} MiB of text, found {size >> 20} MiB")
-    text = _decoded(path.read_bytes(), whole=True)
-    if text is None:
-        raise BadInputError(f"demos {path}: must be text in UTF-8 or UTF-16, found something else")
+    found = _decoded(path.read_bytes(), whole=True)
+    if found is None:
+        raise BadInputError(f"demos {path}: must be text in UTF-8, UTF-16 or Windows-1252, found something else")
+    text, encoding = found
     every = text.splitlines()
     kept = [number for number, line in enumerate(every) if line.strip(" \t,;|")]
     commented = any(sign in text for sign in _COMMENTS)
     rows = [number for number in kept if not _is_comment(every[number])] if commented else kept
     if not rows:
         raise BadInputError(f"demos {path}: must hold rows of numbers, found none")
+    try:
+        return _rows(path, every, kept, rows, encoding)
+    except csv.Error as error:
+        raise BadInputError(f"demos {path}: must be rows of cells, found: {error}") from error
+
+
+def _rows(path: Path, every: list[str], kept: list[int], rows: list[int], encoding: str) -> TextColumns:
     delimiter, header, first = _header(every, kept, rows)
     if rows[0] == first:
         rows = rows[1:]
@@ -153,9 +163,20 @@ def _table(path: Path) -> TextColumns:
         raise BadInputError(f"demos {path}: must hold rows of numbers below its header, found none")
     width = len(header) if header is not None else len(_split(every[rows[0]], delimiter))
     why = f"text, cells between {_SHOWN[delimiter]}, {'a header' if header is not None else 'no header'}"
-    if len(rows) > 1 and len(_split(every[rows[-1]], delimiter)) < width:
-        rows = rows[:-1]
+    if encoding == _WESTERN:
+        why += ", in Windows-1252, as it is not UTF-8"
+    counts = _counts([every[row] for row in rows], delimiter)
+    if len(rows) > 1 and counts[-1] < width:
+        rows, counts = rows[:-1], counts[:-1]
         why += ", the last line cut off and left out"
+    for index in np.flatnonzero(counts != width).tolist():
+        cells = _split(every[rows[index]], delimiter)
+        # Some loggers end every row with a delimiter.
+        if len(_trimmed(cells)) != width and len(cells) != width:
+            above = "the header" if header is not None else "the first"
+            raise BadInputError(
+                f"demos {path}: line {rows[index] + 1}: must have {width} cells as {above}, found {len(cells)}"
+            )
     return TextColumns(str(path), header, width, [every[row] for row in rows], np.array(rows) + 1, delimiter, why)
 
 
@@ -202,6 +223,14 @@ def _split(row: str, delimiter: str | None) -> list[str]:
     return [cell.strip() for cell in next(csv.reader(StringIO(row), delimiter=delimiter, skipinitialspace=True))]
 
 
+def _counts(rows: list[str], delimiter: str | None) -> np.ndarray:
+    """Return how many cells each row has, an empty one behind a last delimiter included."""
+    quoted = any('"' in row for row in rows)
+    if quoted or delimiter is None:
+        return np.array([len(_split(row, delimiter)) for row in rows], dtype=int)
+    return np.array([row.count(delimiter) for row in rows], dtype=int) + 1
+
+
 def _trimmed(cells: list[str]) -> list[str]:
     """Return cells without the empty one that a delimiter at the end of the line makes."""
     return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
@@ -211,13 +240,19 @@ def _is_comment(line: str) -> bool:
     return line.lstrip().startswith(_COMMENTS)
 
 
-def _decoded(content: bytes, *, whole: bool) -> str | None:
-    """Return content as text; None if it is none. A part may end within a character."""
+def _decoded(content: bytes, *, whole: bool) -> tuple[str, str] | None:
+    """Return content as text and its encoding; None if it is none. A part may end within a character."""
     encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     for cut in range(1 if whole else 4):
         try:
             text = content[: len(content) - cut].decode(encoding)
         except UnicodeDecodeError:
             continue
-        return None if "\0" in text else text
-    return None
+        return None if "\0" in text else (text, encoding)
+    # Older loggers write a degree sign or an umlaut in one byte; what is no text holds bytes that stand for nothing.
+    if encoding == "utf-16" or _NO_TEXT.search(content):
+        return None
+    try:
+        return content.decode(_WESTERN), _WESTERN
+    except UnicodeDecodeError:
+        return None

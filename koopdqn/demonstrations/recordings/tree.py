@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from koopdqn.confined import MOST_BYTES
 from koopdqn.demonstrations.recordings.columns import recordings_of, unnamed
 from koopdqn.demonstrations.recordings.declared import ImportSettings
+from koopdqn.demonstrations.recordings.layout import shows_motion
 from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
@@ -43,14 +45,21 @@ def recordings_of_tree(where: str, tree: Tree, declared: ImportSettings, stated:
         BadInputError: there is no table, or one's columns are not recognised.
     """
     found = []
-    for name, table in _tables(tree):
-        found += _recordings_of_table(f"{where}: {name}" if name else where, table, declared, stated)
+    for name, table, left_out in _tables(tree):
+        told = replace(stated, reasons=(*stated.reasons, left_out)) if left_out else stated
+        try:
+            found += _recordings_of_table(f"{where}: {name}" if name else where, table, declared, told)
+        except BadInputError as error:
+            if not left_out:
+                raise
+            raise BadInputError(f"{error}; {left_out}") from error
     if not found:
-        raise BadInputError(f"demos {where}: must hold arrays of poses or joints, found none with rows of numbers")
+        raise BadInputError(f"demos {where}: must hold arrays of poses or joints, found none with two rows or more")
     return found
 
 
-def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array]]]:
+def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array], str]]:
+    """Yield the name of each table, its arrays, and which stood beside them and were left out, or an empty text."""
     kept = {name: value for name, value in tree.items() if name not in _ASIDE and not name.startswith("__")}
     series = _series(kept)
     if series:
@@ -59,7 +68,7 @@ def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array
             if isinstance(value, Mapping):
                 yield from _tables(value, f"{prefix}{name}/")
             else:
-                yield prefix + name, {"": _upright(value)}
+                yield prefix + name, {"": _upright(value)}, ""
         return
     groups = [name for name, value in kept.items() if isinstance(value, Mapping)]
     if (len(groups) == 1 and len(kept) == 1) or any(_series(kept[name]) for name in groups):
@@ -73,12 +82,15 @@ def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array
             yield (
                 f"{prefix}{stacks[0]}[{index}]",
                 {name: value[index] for name, value in flat.items() if len(value) == len(flat[stacks[0]])},
+                "",
             )
         return
     lengths = Counter(len(value) for value in flat.values() if len(value) > 1)
     if lengths:
         longest = max(lengths, key=lambda each: (lengths[each], each))
-        yield prefix.rstrip("/"), {name: value for name, value in flat.items() if len(value) == longest}
+        others = [f"{name} of {len(value)} rows" for name, value in flat.items() if 1 < len(value) != longest]
+        left_out = f"left out beside tables of {longest} rows: {', '.join(others)}" if others else ""
+        yield prefix.rstrip("/"), {name: value for name, value in flat.items() if len(value) == longest}, left_out
 
 
 def _series(tree: Tree) -> list[str]:
@@ -107,7 +119,8 @@ def _upright(value: Array) -> Array:
     if value.ndim == 3 and value.shape[:2] in ((4, 4), (3, 3)) and value.shape[2] not in (3, 4):
         return value.transpose(2, 0, 1)
     if value.ndim == 2 and value.shape[0] == 1:
-        return np.asarray(value[0])
+        # So few are one sample.
+        return np.asarray(value[0]) if value.shape[1] > 16 else value
     if value.ndim == 2 and value.shape[0] <= 16 and value.shape[1] > 4 * value.shape[0]:
         return value.T
     return value
@@ -116,18 +129,25 @@ def _upright(value: Array) -> Array:
 def _recordings_of_table(
     where: str, table: dict[str, Array], declared: ImportSettings, stated: Recording
 ) -> list[Recording]:
-    names: list[str] = []
+    names: list[list[str]] = []
     parts: list[Array] = []
     for name, value in table.items():
         rows = value.reshape(len(value), -1).astype(float)
         if rows.shape[1] <= _WIDEST:
-            names += [name] if value.ndim == 1 else [f"{name}[{index}]" for index in range(rows.shape[1])]
+            names.append([name] if rows.shape[1] == 1 else [f"{name}[{index}]" for index in range(rows.shape[1])])
             parts.append(rows)
     if not parts:
         raise BadInputError(f"demos {where}: must hold arrays of poses or joints, found none")
-    values, reasons = np.hstack(parts), stated.reasons
-    if len(parts) == 1 and parts[0].shape[1] > 1:
-        # One array: what its columns are is not in its name.
-        own, why = unnamed(where, values, declared)
-        names, reasons = list(own), (*reasons, *why)
-    return recordings_of(ArrayColumns(where, tuple(names), values), declared, replace(stated, reasons=reasons))
+    reasons, wide = stated.reasons, [index for index, part in enumerate(parts) if part.shape[1] > 1]
+    alone = len(parts) == 1
+    if len(wide) == 1 and (alone or not (declared.columns or shows_motion(list(chain(*names))))):
+        # What the columns of the one wide array are is not in its name.
+        try:
+            own, why = unnamed(where, parts[wide[0]], declared)
+        except BadInputError:
+            if alone:
+                raise
+        else:
+            names[wide[0]], reasons = list(own), (*reasons, *why)
+    columns = ArrayColumns(where, tuple(chain(*names)), np.hstack(parts))
+    return recordings_of(columns, declared, replace(stated, reasons=reasons))
