@@ -27,11 +27,11 @@ BIN := $(VENV)/bin
 AUDIT_TOOLS = $(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) -e '.[audit]'
 STAMP := $(VENV)/.koopdqn-installed
 
-.PHONY: help setup demo test coverage learn lint format types sizes bench ablations continuous study people docs arms site figures \
+.PHONY: help setup demo test coverage learn lint format types sizes bench ablations continuous study people people-continuous docs arms site figures \
 	pictures fuzz soak physics audit licences sbom package constraints clean
 
 help: ## List the targets
-	@grep -hE '^[a-z]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z]+):.*## (.*)$$/  \1\t\2/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)$$/  \1\t\2/' | expand -t 20
 
 setup: $(STAMP) ## Make the virtual environment and install koopdqn there, editable, with pinned dependencies
 
@@ -83,6 +83,9 @@ continuous: $(STAMP) ## Learn tasks and motions of people with continuous action
 
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py study --minutes $(MINUTES)
+
+people-continuous: $(STAMP) ## The same as people with continuous actions; hours, goes on where it stopped
+	$(BIN)/python scripts/study.py people-continuous --data $(PEOPLE)
 
 people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
 	$(BIN)/python scripts/study.py people --data $(PEOPLE)

@@ -232,7 +232,7 @@ def test_a_name_that_is_not_there_is_told_with_the_valid_ones(changed: dict[str,
 
 
 def test_an_experiment_that_is_none_is_bad_input(tmp_path: Path) -> None:
-    valid = "ablations, continuous, figures, people, study"
+    valid = "ablations, continuous, figures, people, people-continuous, study"
     with pytest.raises(BadInputError, match=f"unknown experiment 'moon'; valid: {valid}"):
         load("moon")
     own = tmp_path / "own.yaml"
