@@ -9,6 +9,10 @@ from numpy.typing import ArrayLike
 from koopdqn import pose
 from koopdqn.pose import Array
 
+# A turn of so little motion [m/rad] is one on the spot; it counts as so much of the way [m/rad]. Below the least angle
+# [rad] it is rounding.
+_ON_THE_SPOT, _TURN_LENGTH, _NO_TURN = 0.001, 0.1, 1e-6
+
 
 @dataclass(frozen=True)
 class SmoothPath:
@@ -78,6 +82,17 @@ def arc_lengths(points: ArrayLike) -> Array:
     """Return the arc length (N,) [m] of each point (N, 3) [m] of a polyline, from its start."""
     steps = np.linalg.norm(np.diff(np.asarray(points, dtype=float), axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def way_lengths(poses: Array) -> Array:
+    """Return the arc length (N,) [m] at each pose (N, 7), to which a turn on the spot adds 0.1 m a radian.
+
+    On the spot is what turns by over a radian a millimetre.
+    """
+    moved = np.linalg.norm(np.diff(poses[:, pose.POSITION], axis=0), axis=1)
+    turned = pose.rotation_distance(poses[1:], poses[:-1])
+    on_the_spot = (moved < _ON_THE_SPOT * turned) & (turned > _NO_TURN)
+    return np.concatenate([[0.0], np.cumsum(np.where(on_the_spot, _TURN_LENGTH * turned, moved))])
 
 
 def at_arc_lengths(values: Array, arc: Array, wanted: Array) -> Array:
@@ -169,8 +184,11 @@ def between(a: Array, b: Array, share: ArrayLike) -> Array:
 
 
 def mean_poses(trajectories: list[Array], count: int) -> Array:
-    """Return ``count`` poses (count, 7) along the mean of pose trajectories (N, 7), aligned by their share of path."""
-    aligned = np.array([to_count(rows, count) for rows in trajectories])
+    """Return ``count`` poses (count, 7) along the mean of pose trajectories (N, 7), aligned by their share of the way.
+
+    The way is that of :func:`way_lengths`, so that turns on the spot are not skipped.
+    """
+    aligned = np.array([to_count(rows, count, way_lengths(rows)) for rows in trajectories])
     turns = aligned[..., pose.QUATERNION]
     # q and −q are the same rotation.
     turns = turns * np.where((turns * turns[0]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
@@ -190,8 +208,7 @@ def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:
     if arc is None:
         arc = arc_lengths(poses[:, pose.POSITION])
     if arc[-1] < 1e-9:
-        turns = pose.rotation_distance(poses[1:], poses[:-1])
-        arc = np.concatenate([[0.0], np.cumsum(turns)])
+        arc = way_lengths(poses)
     # Equal arc lengths (turning in place) need an order for the interpolation.
     arc = arc + np.arange(len(arc)) * 1e-12
     values = at_arc_lengths(poses, arc, np.linspace(0.0, arc[-1], count))

@@ -2,16 +2,18 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from helpers_shown import arc, derivation, recorded, shown
 from parts import Parts, as_demonstrations, load_parts, straight_poses
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.errors import BadInputError
-from koopdqn.intent.fit import Fitted, agent_steps, fit, unmatched_share
+from koopdqn.intent.fit import Fitted, agent_steps, fit, sixty_samples, unmatched_share
 from koopdqn.intent.koopman import koopman_rows
 from koopdqn.intent.observables import SecondOrder
 from koopdqn.paths import to_count
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import STILL
 
 
 def lines_to_the_goal(parts: Parts, sideways: list[float], steps: int = 12) -> Demonstrations:
@@ -210,3 +212,15 @@ def test_the_model_is_told_nothing_of_the_person(
         assert mine.arrays().keys() == arrays.keys()
         for name, values in mine.arrays().items():
             np.testing.assert_array_equal(values, arrays[name])
+
+
+def test_sixty_samples_are_foretold_in_the_start_frame_as_every_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    derived = derivation(holdout=0).derive(shown(*(recorded(arc(0.02 * index)) for index in range(5))))
+    parts = load_parts()
+    told = sixty_samples(derived.training, derived.task, parts.intent)[0]
+    monkeypatch.setattr(type(parts.intent), "start_frame", lambda *_: STILL)
+    without = sixty_samples(derived.training, derived.task, parts.intent)[0]
+    assert told is not None
+    assert without is not None
+    assert told["rms_m"] is not None
+    assert told["rms_m"] < 0.6 * (without["rms_m"] or 0.0)

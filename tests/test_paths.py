@@ -3,8 +3,36 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koopdqn.paths import SmoothPath, arc_lengths, at_arc_lengths
+from koopdqn import pose
+from koopdqn.paths import SmoothPath, arc_lengths, at_arc_lengths, mean_poses, way_lengths
 from koopdqn.pose import Array
+
+
+def turning(on_the_spot: float, place: float = 0.5, count: int = 101) -> Array:
+    """0.2 m along x, and a turn about it by an angle [rad] at a share of the way."""
+    move = np.stack([np.linspace(0.0, 0.2, count), np.zeros(count), np.zeros(count)], axis=1)
+    row = round(place * (count - 1))
+    stand = np.repeat(move[row : row + 1], 60, axis=0)
+    angle = np.concatenate([np.zeros(row), np.linspace(0.0, on_the_spot, 60), np.full(count - row, on_the_spot)])
+    turn = pose.from_rotation_vector(angle[:, None] * [1.0, 0.0, 0.0])
+    return pose.make(np.concatenate([move[:row], stand, move[row:]]), turn)
+
+
+@pytest.mark.parametrize("angle", [0.5, 1.0, 2.0])
+def test_a_turn_on_the_spot_has_its_place_in_the_mean(angle: float) -> None:
+    mean = mean_poses([turning(angle), turning(angle)], 200)
+    turned = pose.rotation_distance(mean[1:], mean[:-1])
+    assert turned.max() < 0.03
+    assert turned.sum() == pytest.approx(angle, rel=1e-6)
+    assert way_lengths(turning(angle))[-1] == pytest.approx(0.2 + 0.1 * angle)
+
+
+def test_without_a_turn_on_the_spot_the_way_is_the_arc_length() -> None:
+    poses = turning(0.0)
+    poses[:, 3:] = pose.from_rotation_vector(np.linspace(0.0, 2.5, len(poses))[:, None] * [0.0, 0.0, 1.0])
+    poses = poses[np.concatenate([[True], np.diff(poses[:, 0]) > 0.0])]
+    np.testing.assert_array_equal(way_lengths(poses), arc_lengths(poses[:, :3]))
+
 
 numbers = st.floats(-0.4, 0.4, allow_nan=False)
 points = st.tuples(numbers, numbers, numbers)

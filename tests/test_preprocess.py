@@ -15,6 +15,7 @@ from koopdqn.demonstrations.preprocess import (
     check_orientation,
     check_position,
     goal_of,
+    noise_of,
     smooth,
     trim_idle,
 )
@@ -38,6 +39,15 @@ def test_a_turn_in_place_is_no_idling() -> None:
     turns = np.linspace(0.0, 1.0, 50)[:, None] * [0.0, 0.0, 1.0]
     item = Demonstration(0.1 * np.arange(50.0), pose.make([0.4, 0.0, 0.3], pose.from_rotation_vector(turns)))
     assert len(trim_idle(item).item) >= 49
+
+
+@settings(max_examples=10)
+@given(noise=st.floats(1e-4, 2e-3), seed=st.integers(0, 100))
+def test_noise_is_its_standard_deviation(noise: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turns = pose.from_rotation_vector(rng.normal(scale=noise, size=(2000, 3)))
+    item = recorded(pose.make(arc(count=2000)[:, :3], turns), noise=noise, seed=seed)
+    assert noise_of(item) == pytest.approx((noise, noise), rel=0.1)
 
 
 def test_what_never_moves_is_refused() -> None:

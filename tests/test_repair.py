@@ -111,6 +111,18 @@ def test_merging_keeps_the_first_lets_most_decide_and_overwrites_nothing(tmp_pat
         repair.merge([first], tmp_path / "alone.jsonl")
 
 
+def test_a_teacher_has_one_voice_however_many_journals_hold_it(tmp_path: Path) -> None:
+    first = journal(tmp_path, "anna", [True])
+    others = []
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        others.append(journal(tmp_path / folder, "bert", [False]))
+    merged = tmp_path / "merged.jsonl"
+    assert repair.merge([first, *others], merged).changed == 0
+    assert repair.merge([merged, others[0]], tmp_path / "again.jsonl").changed == 0
+    assert repair.merge([merged, journal(tmp_path, "cleo", [False])], tmp_path / "more.jsonl").changed == 1
+
+
 def test_agreement_counts_what_both_answered(tmp_path: Path) -> None:
     paths = [
         journal(tmp_path, "anna", [True, True, False, None]),

@@ -137,7 +137,7 @@ def test_other_rewards_change_what_follows_from_their_sign_and_nothing_else(step
     buffer.revalue(rows, rewards, at_goal, step_back=step_back)
     after, others = buffer.held(), np.setdiff1d(np.arange(8), rows)
     np.testing.assert_array_equal(after.rewards[rows], rewards)
-    np.testing.assert_array_equal(after.terminated[rows], [True, False, False, False])
+    np.testing.assert_array_equal(after.terminated[rows], [True, not step_back, False, False])
     np.testing.assert_array_equal(after.undone[rows], [False, step_back, step_back, False])
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(after, name)[others], getattr(before, name)[others])

@@ -42,6 +42,21 @@ def beside(trajectories: list[Array], seed: int, count: int, spread: float) -> t
 
 
 @settings(max_examples=25)
+@given(seed=st.integers(0, 1000), spread=st.floats(0, 0.004), prediction=st.sampled_from(["raw", "rescaled"]))
+def test_of_what_is_allowed_the_best_is_certain_where_the_state_is_trusted(
+    reward: IntentReward, trajectories: list[Array], seed: int, spread: float, prediction: str
+) -> None:
+    doubting = reward_with(undoubting(reward, doubt=50.0), prediction=prediction)
+    poses, steps = beside(trajectories, seed, 20, spread)
+    evaluation = doubting.evaluate_actions(poses, steps)
+    allowed = evaluation.source != RULE
+    best = evaluation.margin == evaluation.margin.max(axis=1, keepdims=True)
+    trusted = (evaluation.source == TRUSTED).any(axis=1)
+    assert trusted.any()
+    np.testing.assert_array_equal((evaluation.source == TRUSTED)[trusted], (best & allowed)[trusted])
+
+
+@settings(max_examples=25)
 @given(seed=st.integers(0, 1000), spread=st.floats(0, 0.02))
 def test_the_sign_rule_is_the_papers(reward: IntentReward, trajectories: list[Array], seed: int, spread: float) -> None:
     """Plus where both distances to the prediction are within tolerance, minus otherwise and by rule."""

@@ -40,6 +40,20 @@ def test_what_was_placed_comes_back_from_wherever_it_is_looked_for(
     np.testing.assert_array_equal(placed[3:], here[3:])
 
 
+@pytest.mark.parametrize("share", [0.2, 0.7, 0.95, 1.05, 1.7])
+def test_along_a_path_that_begins_much_nearer_to_the_goal_a_step_comes_back_as_one(share: float) -> None:
+    # The start lies on the straight way, its offset ``share`` times as long as what is left.
+    left = LENGTH / (1.0 + share)
+    way = (GOAL - START) / LENGTH
+    places = GOAL - np.linspace(left, 0.0, 60)[:, None] * way
+    path = pose.make(places, [1.0, 0.0, 0.0, 0.0])
+    starts = np.repeat(path[:1], len(path) - 1, axis=0)
+    placed = FRAME.to_frame(path[1:], starts)
+    back = FRAME.from_frame(placed, starts, path[:-1])
+    assert pose.position_distance(FRAME.to_frame(back, starts), placed).max() < 2e-4
+    assert pose.position_distance(back, path[1:]).max() < 2e-4
+
+
 @given(offset=offsets)
 def test_every_start_is_placed_at_the_nominal_one_and_the_goal_stays(offset: Array) -> None:
     start = starting(offset)

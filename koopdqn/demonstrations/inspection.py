@@ -11,7 +11,7 @@ from koopdqn.demonstrations.cleaning import Cleaned
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.preprocess import noise_of
 from koopdqn.demonstrations.schema import Finding, InspectedDemonstration, Pair
-from koopdqn.paths import arc_lengths, mean_poses, to_count
+from koopdqn.paths import arc_lengths, mean_poses, to_count, way_lengths
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.arm import Arm
 
@@ -145,7 +145,7 @@ def compare(items: Sequence[Demonstration]) -> Together:
     """Return what demonstrations are beside one another, matched by their share of path."""
     if len(items) < 2:
         return Together([], [], [], [], [])
-    paths = np.array([1e3 * to_count(item.poses, _PLACES)[:, POSITION] for item in items])
+    paths = np.array([1e3 * to_count(item.poses, _PLACES, way_lengths(item.poses))[:, POSITION] for item in items])
     count = len(paths)
     same = [
         Pair(first=i, second=i + 1 + int(j))

@@ -84,9 +84,11 @@ STILL_M = 0.001
 """The arm is idle within this distance [m] of its first or last pose; sensor noise widens it."""
 STILL_RAD = 0.01
 """The same for rotation [rad]."""
-# Width of the noise band of an idle arm in standard deviations, and the most that noise may widen the limits: in a
-# sparse recording motion looks like noise.
-_SIGMAS = 4.0
+# The median length of a vector of three standard normal components.
+_MEDIAN_SIZE = 1.5382
+# Width of the noise band of an idle arm in standard deviations (four median lengths of the noise), and the most that
+# noise may widen the limits: in a sparse recording motion looks like noise.
+_SIGMAS = 4.0 * _MEDIAN_SIZE
 _WIDEST = 3.0
 _FEWEST = 5
 _BLOCK = 1 << 9
@@ -111,7 +113,7 @@ def trim_idle(item: Demonstration) -> Trimmed:
     """Return a demonstration without its idle ends.
 
     The arm is idle while every pose is within :data:`STILL_M` and :data:`STILL_RAD` of the first (or last) one; sensor
-    noise of more than a quarter of these limits widens them, up to threefold. One idle sample is kept at each end, next
+    noise of more than a sixth of these limits widens them, up to threefold. One idle sample is kept at each end, next
     to the motion, with the mean pose of the idle samples within the noise.
 
     Raises:
@@ -152,7 +154,7 @@ def noise_of(item: Demonstration) -> tuple[float, float]:
     """Return the standard deviations of the sensor noise of positions [m] and of orientations [rad].
 
     They are estimated by the median size of second differences, on which motion has little effect: for white noise of
-    standard deviation σ, each component of these has √6·σ.
+    standard deviation σ, each of three components of these has √6·σ, and their size the median 1.538·√6·σ.
     """
     if len(item) < _FEWEST:
         return 0.0, 0.0
@@ -160,7 +162,7 @@ def noise_of(item: Demonstration) -> tuple[float, float]:
     # The quaternion's vector part is half of a small rotation.
     turn = 2.0 * np.diff(item.poses[:, pose.QUATERNION], n=2, axis=0)
     sizes = [float(np.median(np.linalg.norm(values, axis=1))) for values in (position, turn)]
-    return sizes[0] / np.sqrt(6.0), sizes[1] / np.sqrt(6.0)
+    return sizes[0] / (_MEDIAN_SIZE * np.sqrt(6.0)), sizes[1] / (_MEDIAN_SIZE * np.sqrt(6.0))
 
 
 def _still(poses: Array, distance: float, turn: float) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrate, components_of, no_balls
-from koopdqn.paths import to_count
+from koopdqn.paths import to_count, way_lengths
 from koopdqn.pose import Array
 
 
@@ -32,7 +32,8 @@ class BoxSettings(TrustSettings):
         components = [components_of(trajectory, frame) for trajectory in trajectories]
         longest = max(len(rows) for rows in components)
         if self.matching != "step":
-            aligned = [components_of(to_count(trajectory, longest), frame) for trajectory in trajectories]
+            evenly = [to_count(trajectory, longest, way_lengths(trajectory)) for trajectory in trajectories]
+            aligned = [components_of(each, frame) for each in evenly]
             stack = np.array(aligned)
             mean, deviation = stack.mean(axis=0), stack.std(axis=0)
             # The aligned step nearest to each state.

@@ -73,13 +73,13 @@ def held_out_contained(
 
 
 def trust_summary(
-    domain: TrustDomain, count: int, contained: Sequence[np.ndarray], fresh: list[Array]
+    domain: TrustDomain, trajectories: list[Array], contained: Sequence[np.ndarray], fresh: list[Array]
 ) -> dict[str, Any]:
     """Return width and coverage of a trust domain.
 
     Args:
         domain: fitted to all demonstrations.
-        count: their number.
+        trajectories: these, poses (N, 7).
         contained: as :func:`held_out_contained` returns it.
         fresh: poses (N, 7) of demonstrations that nothing was fitted to.
     """
@@ -89,13 +89,13 @@ def trust_summary(
     return {
         "sigmas": domain.settings.sigmas if isinstance(domain, Box) else None,
         "matching": domain.settings.matching if isinstance(domain, Box) else "any",
-        "nominal_coverage": settings.nominal(count),
+        "nominal_coverage": settings.nominal(trajectories),
         "fresh": len(fresh),
         "measured_coverage": path_coverage(domain, fresh) if fresh else None,
         "radius_m": None if tube is None else float(np.median(tube.radius[:, 0])),
         "largest_radius_m": None if tube is None else float(tube.radius[:, 0].max()),
         "radius_rad": None if tube is None else float(np.median(tube.radius[:, 1])),
-        "spread_m": None if tube is None or count == 1 else float(np.median(tube.spread[:, 0])),
+        "spread_m": None if tube is None or len(trajectories) == 1 else float(np.median(tube.spread[:, 0])),
         "known_share": float(domain.known.mean()),
         "held_out_state_coverage": float(np.mean(shares)) if shares else None,
         "held_out_path_coverage": float(np.mean(whole)) if whole else None,
@@ -157,6 +157,7 @@ def sixty_samples(
         return None, []
     trajectories = [to_count(item.poses, _PAPER_SAMPLES) for item in demonstrations.items]
     task = sampled_at(trajectories, task)
+    trajectories = intent.start_frame(trajectories, task).each_unseen(trajectories)
     errors, motions = [], []
     for index, held_out in enumerate(trajectories):
         others = trajectories[:index] + trajectories[index + 1 :]
@@ -283,7 +284,7 @@ def fit(
         "spectral_radius_rotation": None if turning is None else turning.spectral_radius(),
         "lifted_dimension": len(first.matrix),
         "trust": {
-            **trust_summary(domain, len(trajectories), contained, frame.each(unseen)),
+            **trust_summary(domain, trajectories, contained, frame.each(unseen)),
             **right_summary(found.folds, IntentReward(task, model, domain, reward), unseen),
         },
         "unmatched_share": unmatched_share(trajectories, task),

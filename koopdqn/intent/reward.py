@@ -166,12 +166,12 @@ class IntentReward:
             margin[:, SUGGESTED] = margin[:, SUGGESTED].round(_MARGIN_DIGITS)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
         demonstrated, certified, doubt = self._trust(here, local_reached, steps)
-        certain = certain_signs(margin, doubt)
         unchanged = pose.position_distance(reached, poses[:, None]) < _NO_MOTION
         rows, actions = np.nonzero(unchanged)
         unchanged[rows, actions] = pose.rotation_distance(reached[rows, actions], poses[rows]) < _NO_MOTION
         wrong = unchanged
         wrong[:, : self._illegal.size] |= self._illegal
+        certain = certain_signs(np.where(wrong, -np.inf, margin), doubt)
         reward = self.settings.size * np.where(wrong, -1.0, reward)
         at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(reached.shape[:2])
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)

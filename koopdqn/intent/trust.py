@@ -46,8 +46,8 @@ class TrustSettings(Settings, ABC):
             frame: (2, 4) of angles, as :attr:`koopdqn.tasks.task.Task.frame` gives it.
         """
 
-    def nominal(self, count: int) -> float | None:
-        """Return the nominal coverage of new demonstrations with ``count`` demonstrations; None if there is none."""
+    def nominal(self, trajectories: list[Array]) -> float | None:
+        """Return the nominal coverage of new demonstrations with these (N, 7) each; None if there is none."""
         return None
 
     @abstractmethod

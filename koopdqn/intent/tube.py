@@ -9,7 +9,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrate, no_balls, squared_distances
-from koopdqn.paths import arc_lengths, mean_poses
+from koopdqn.paths import mean_poses, way_lengths
 from koopdqn.pose import Array
 
 # Demonstrations needed to estimate the spread along the path with one left out.
@@ -54,21 +54,38 @@ class TubeSettings(TrustSettings):
         if len(trajectories) == 1:
             radius = np.tile([self.fixed_radius_m, self.fixed_radius_rad], (len(middle.poses), 1))
         else:
-            scores = []
-            for index, held_out in enumerate(trajectories):
-                others = Middle.of(trajectories[:index] + trajectories[index + 1 :], self, len(trajectories))
-                scores.append(float(others.distance(held_out).max()))
-            count = len(scores)
-            most = np.inf if count < _LEAST_FOR_SPREAD else _MOST_SPREADS * np.sqrt(count)
-            radius = min(float(np.sort(scores)[self.rank(count) - 1]), most) * middle.spread
+            scores = np.sort(self._scores(trajectories), axis=0)
+            radius = np.minimum(scores[self.rank(len(scores)) - 1], self._most(len(scores))) * middle.spread
         places = [middle.nearest(rows[:-1]) for rows in trajectories]
         window = round(self.smoothing_m / self.spacing_m)
         sure = calibrate(places, signs, len(middle.poses), window, self)
         return Tube(self, *sure, no_balls(self.answer_radius_rad), middle.poses, radius, middle.gap)
 
-    def nominal(self, count: int) -> float | None:
-        """Return the nominal coverage with ``count`` demonstrations; None for a single one."""
-        return None if count == 1 else self.rank(count) / (count + 1)
+    def _scores(self, trajectories: list[Array]) -> Array:
+        """Return the score (D, 2) of each of D trajectories (N, 7) by which the radii of both units are chosen.
+
+        With two demonstrations there is no spread whose units compare position and orientation, so that each has its
+        own; otherwise the larger counts for both.
+        """
+        scores = []
+        for index, held_out in enumerate(trajectories):
+            others = Middle.of(trajectories[:index] + trajectories[index + 1 :], self, len(trajectories))
+            if len(trajectories) < _LEAST_FOR_SPREAD:
+                scores.append(others.apart(held_out).max(axis=0))
+            else:
+                scores.append(np.full(2, others.distance(held_out).max()))
+        return np.array(scores)
+
+    def _most(self, count: int) -> float:
+        return np.inf if count < _LEAST_FOR_SPREAD else float(_MOST_SPREADS * np.sqrt(count))
+
+    def nominal(self, trajectories: list[Array]) -> float | None:
+        """Return the nominal coverage with these demonstrations (N, 7); None with fewer than three."""
+        count = len(trajectories)
+        if count < _LEAST_FOR_SPREAD:
+            return None
+        held = int((self._scores(trajectories).max(axis=1) <= self._most(count)).sum())
+        return min(self.rank(count), held) / (count + 1)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
         """Return the domain with these arrays."""
@@ -99,7 +116,7 @@ class Middle:
             settings: spacing, smoothing and floors.
             known: number of demonstrations, those left out included. With fewer than three the spread is the floor.
         """
-        length = float(np.mean([arc_lengths(rows[:, pose.POSITION])[-1] for rows in trajectories]))
+        length = float(np.mean([way_lengths(rows)[-1] for rows in trajectories]))
         count = max(2, int(np.ceil(length / settings.spacing_m)) + 1)
         poses = mean_poses(trajectories, count)
         gaps = np.array([_gaps(poses, rows) for rows in trajectories])
@@ -113,6 +130,15 @@ class Middle:
     def distance(self, poses: Array) -> Array:
         """Return the distances (N,) of poses (N, 7) from the nearest place, in spreads."""
         return np.asarray(scaled_distances(poses, self.poses, self.spread).min(axis=1))
+
+    def apart(self, poses: Array) -> Array:
+        """Return the distances (N, 2) of positions and of orientations of poses (N, 7), in spreads.
+
+        From the place nearest in position.
+        """
+        moved, turned = _scaled(poses, self.poses, self.spread)
+        place = moved.argmin(axis=1)[:, None]
+        return np.concatenate([np.take_along_axis(each, place, axis=1) for each in (moved, turned)], axis=1)
 
     def nearest(self, poses: Array) -> np.ndarray:
         """Return the place (N,) nearest to each position of poses (N, 7)."""
@@ -188,9 +214,14 @@ def scaled_distances(poses: Array, places: Array, unit: Array) -> Array:
 
     The larger of position and orientation counts.
     """
+    return np.asarray(np.maximum(*_scaled(poses, places, unit)))
+
+
+def _scaled(poses: Array, places: Array, unit: Array) -> tuple[Array, Array]:
+    """Return :func:`scaled_distances` of positions and of orientations apart."""
     moved = np.sqrt(squared_distances(poses[:, pose.POSITION], places[:, pose.POSITION])) / unit[:, 0]
     cosine = np.clip(np.abs(poses[:, pose.QUATERNION] @ places[:, pose.QUATERNION].T), 0.0, 1.0)
-    return np.asarray(np.maximum(moved, 2.0 * np.arccos(cosine) / unit[:, 1]))
+    return moved, 2.0 * np.arccos(cosine) / unit[:, 1]
 
 
 def _gaps(poses: Array, rows: Array) -> Array:

@@ -201,21 +201,25 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
     Args:
         model: the model.
         trust: how far beside the demonstrations starts lie.
-        trajectories: demonstrated poses (N, 7).
+        trajectories: demonstrated poses (N, 7) in the model's start frame.
         task: gives step, start region, goal and its tolerance.
     """
     rng = np.random.default_rng(0)
-    region = [
-        np.array([trajectory[0] for trajectory in trajectories]),
-        task.draw_starts(rng, _STARTS),
-        _beside(trust, trajectories, rng),
-    ]
+    drawn = task.draw_starts(rng, _STARTS)
+    demonstrated = np.concatenate([[rows[0] for rows in trajectories], _beside(trust, trajectories, rng)])
     wide = task.draw_starts(rng, _STARTS)
     wide[:, pose.POSITION] += (_WIDER - 1.0) * (wide - task.nominal_start)[:, pose.POSITION]
-    starts = np.concatenate([*region, wide])
     limit = _PATIENCE * max(len(trajectory) for trajectory in trajectories)
-    arrived = _arrives(model, starts, task, limit)
-    return Convergence(float(arrived[:-_STARTS].mean()), float(arrived[-_STARTS:].mean()))
+
+    def in_frame(poses: Array, starts: Array) -> Array:
+        return model.predict_step(poses, task.step_m)
+
+    def from_starts(poses: Array, starts: Array) -> Array:
+        return model.to_step(poses, model.intended(poses, starts), task.step_m)
+
+    there, far = _arrives(in_frame, demonstrated, task, limit), _arrives(from_starts, wide, task, limit)
+    region = np.concatenate([there, _arrives(from_starts, drawn, task, limit)])
+    return Convergence(float(region.mean()), float(far.mean()))
 
 
 def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Generator) -> Array:
@@ -231,13 +235,16 @@ def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Genera
     return pose.make(states[:, pose.POSITION] + size[:, None] * direction, states[:, pose.QUATERNION])
 
 
-def _arrives(model: IntentModel, starts: Array, task: Task, limit: int) -> np.ndarray:
-    """Return whether the roll-out from each start (N, 7) reaches the goal in ``limit`` steps and stays, (N,)."""
+def _arrives(move: Callable[[Array, Array], Array], starts: Array, task: Task, limit: int) -> np.ndarray:
+    """Return whether the roll-out from each start (N, 7) reaches the goal in ``limit`` steps and stays, (N,).
+
+    ``move`` gives the next poses (N, 7) of poses (N, 7) of roll-outs from starts (N, 7).
+    """
     arrived = np.zeros(len(starts), dtype=bool)
     under_way, poses = np.arange(len(starts)), starts
     ends = starts.copy()
     for _ in range(limit):
-        poses = model.predict_step(poses, task.step_m)
+        poses = move(poses, starts[under_way])
         there = _at_goal(poses, task)
         arrived[under_way[there]] = True
         ends[under_way[there]] = poses[there]
@@ -245,7 +252,9 @@ def _arrives(model: IntentModel, starts: Array, task: Task, limit: int) -> np.nd
         if not len(under_way):
             break
     # A roll-out that only passes the goal has left it a few steps later.
-    arrived[arrived] = _at_goal(model.roll_out(ends[arrived], _REST_STEPS, task.step_m)[-1], task)
+    for _ in range(_REST_STEPS):
+        ends[arrived] = move(ends[arrived], starts[arrived])
+    arrived[arrived] = _at_goal(ends[arrived], task)
     return arrived
 
 

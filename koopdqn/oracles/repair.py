@@ -131,7 +131,8 @@ class Merged:
 def merge(paths: Sequence[Path], out: Path) -> Merged:
     """Write a journal that holds the first one's answers and what the others say to the same questions.
 
-    Where most teachers answer otherwise than the first, their answer stands, as an edit; a tie leaves the first.
+    Where most teachers answer otherwise than the first, their answer stands, as an edit; a tie leaves the first. Each
+    teacher has one voice, however many journals hold it.
     Answers to other questions belong to another course of training and are left out.
 
     Raises:
@@ -171,8 +172,10 @@ def _opinions(first: Records, others: Sequence[Records]) -> tuple[dict[int, list
 
 
 def _by_majority(item: Record, said: Sequence[OpinionLine]) -> EditLine | None:
-    every = [item.line.right, *(voice.right for voice in item.opinions), *(voice.right for voice in said)]
-    votes = Counter(right for right in every if right is not None)
+    # A teacher has one voice: the latest, but for the one whose answer stands.
+    voices_of = {voice.source: voice.right for voice in (*item.opinions, *said)}
+    every = {**voices_of, item.line.source: item.line.right}
+    votes = Counter(right for right in every.values() if right is not None)
     winner = votes[True] > votes[False]
     if votes[True] == votes[False] or winner == item.line.right:
         return None

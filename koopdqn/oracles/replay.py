@@ -176,7 +176,7 @@ def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None
     named = COUNT if question.candidates is None else len(question.candidates)
     if answer.better is not None and not 0 <= answer.better < named:
         raise BadInputError(f"better: must be an action from 0 to {named - 1}, found {answer.better}")
-    if answer.better is not None and (answer.right is not True) == (answer.better == question.action):
+    if answer.better is not None and answer.right is not (answer.better == question.action):
         raise BadInputError(
             f"right: must be true exactly if the better action is the one asked about ({question.action}), found"
             f" {answer.right} with better action {answer.better}"

@@ -92,15 +92,15 @@ class Labelled:
     def transitions(self, task: Task, *, step_back: bool, continuous: bool = False) -> Transitions:
         """Return the transitions of a task in which wrong actions are undone, or are not."""
         evaluation, each = self.evaluation, (self.rows, self.actions)
-        wrong = self.rewards < 0
+        undone = (self.rewards < 0) & step_back
         return Transitions(
             observe(evaluation.local[self.rows], task),
             self.actions,
             self.rewards.astype(np.float32),
             observe(evaluation.local_reached[each], task),
-            terminated=evaluation.at_goal[each] & ~wrong,
+            terminated=evaluation.at_goal[each] & ~undone,
             truncated=np.full(len(self.rows), self.truncated),
-            undone=wrong & step_back,
+            undone=undone,
             poses=evaluation.poses[self.rows],
             starts=evaluation.starts[self.rows],
             steps=evaluation.steps[self.rows],
@@ -223,8 +223,9 @@ class ReplayBuffer:
             step_back: whether wrong actions are undone.
         """
         self._arrays["rewards"][rows] = rewards
-        self._arrays["terminated"][rows] = at_goal & (rewards >= 0)
-        self._arrays["undone"][rows] = (rewards < 0) & step_back
+        undone = (rewards < 0) & step_back
+        self._arrays["terminated"][rows] = at_goal & ~undone
+        self._arrays["undone"][rows] = undone
 
     def remove(self, mask: np.ndarray) -> None:
         """Remove the transitions selected by a mask (len,), keeping the order of the others."""

@@ -15,6 +15,8 @@ from koopdqn.tasks.start_regression import StartRegression
 _LEAST_GAIN_M = 1e-6
 # Fixed-point iterations of the inverse; each shrinks the error by the start's offset as a share of the way.
 _ITERATIONS = 12
+# Where that share is larger they are slow, or come to another solution: the equation is solved instead.
+_LARGEST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -55,9 +57,32 @@ class StartFrame:
         place, off = local[..., pose.POSITION], self._off(starts)
         if self.regression is not None:
             place = place + self.regression.shift(place, self.regression.offset(starts))
+        there = near
         for _ in range(_ITERATIONS):
-            near = place + self._fading(near, starts) * off
-        return np.concatenate([near, local[..., pose.QUATERNION]], axis=-1)
+            there = place + self._fading(there, starts) * off
+        large = pose.norm(off) > _LARGEST_SHARE * pose.norm(starts[..., pose.POSITION] - self.goal)
+        if large.any():
+            fading = self._fading_at(place, off, starts, self._fading(near, starts)[..., 0])
+            there = np.where(large[..., None], place + fading[..., None] * off, there)
+        return np.concatenate([there, local[..., pose.QUATERNION]], axis=-1)
+
+    def _fading_at(self, place: Array, off: Array, starts: Array, now: Array) -> Array:
+        """Return the shares w (...) of offsets (..., 3) that are left at places + w·offset, nearest to ``now``.
+
+        With l the place from the goal, o the offset and d the start's distance from the goal, ‖l + w·o‖ = w·d, which
+        may have two solutions.
+        """
+        away, whole = place - self.goal, pose.norm(starts[..., pose.POSITION] - self.goal)
+        along, squared = (away * off).sum(axis=-1), (away**2).sum(axis=-1)
+        root = np.sqrt(np.maximum(along**2 + (whole**2 - (off**2).sum(axis=-1)) * squared, 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = [np.where(squared > 0.0, squared / (sign * root - along), 0.0) for sign in (1.0, -1.0)]
+        # At first all of the offset is left, wherever that still is farther than the start.
+        found.append(np.where(pose.norm(away + off) >= whole, 1.0, np.nan))
+        every = np.array(np.broadcast_arrays(*found))
+        gap = np.where((every >= 0.0) & (every <= 1.0), np.abs(every - now), np.inf)
+        nearest = np.take_along_axis(every, gap.argmin(axis=0)[None], axis=0)[0]
+        return np.where(np.isfinite(gap).any(axis=0), nearest, 1.0)
 
     def each(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return trajectories (N, 7), each in the frame by its own start."""

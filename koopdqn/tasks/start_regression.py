@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.paths import mean_poses, to_count
+from koopdqn.paths import mean_poses, to_count, way_lengths
 from koopdqn.pose import Array
 
 # Places along the path at which the slopes are known, and the width of the kernel between them in their distance.
@@ -94,7 +94,7 @@ class StartRegression:
         if spread < _LEAST_SPREAD_M:
             return None
         mean = mean_poses(list(local), _PLACES)[:, pose.POSITION]
-        left = np.array([to_count(rows, _PLACES)[:, pose.POSITION] for rows in local]) - mean
+        left = np.array([to_count(rows, _PLACES, way_lengths(rows))[:, pose.POSITION] for rows in local]) - mean
         scaled = off / spread
         inverse = np.linalg.solve(scaled.T @ scaled + _PRIOR * np.eye(3), scaled.T) / spread
         # (P, 3, 3): at every place three outputs of three inputs.
