@@ -87,6 +87,11 @@ def _require_finite(content: Any, where: str) -> None:
         _require_finite(value, f"{where}.{key}".removeprefix("."))
 
 
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def digest(content: Any) -> str:
     """Return the SHA-256 of the canonical JSON of a content."""
     return hashlib.sha256(canonical_json(content).encode()).hexdigest()

@@ -47,6 +47,18 @@ def test_a_bad_config_is_told_as_on_the_command_line(overrides: list[str], words
     assert all(word in str(caught.value) for word in words)
 
 
+def test_a_folder_of_own_options_must_exist() -> None:
+    with pytest.raises(BadInputError, match="config_dir: must be a folder that exists, found '/nope'"):
+        koopdqn.load_config(config_dir="/nope")
+
+
+def test_short_names_are_taken_as_on_the_command_line(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("[{name: a, shape: sphere, center_m: [1, 1, 1], radius_m: 0.1}]")
+    assert koopdqn.load_config(f"obstacles={tmp_path}/scene.yaml").task.obstacles[0].name == "a"
+    with pytest.raises(BadInputError, match="goal: koopdqn train goes to the goal that was demonstrated"):
+        koopdqn.load_config("goal=[0.5,0.0,0.5]")
+
+
 def test_training_from_python_gives_the_networks_of_the_command_line(tmp_path: Path) -> None:
     assert cli.main(["train", "task=shelf", *SMALL, f"out={tmp_path / 'run'}"]) in (0, 1)
     config = koopdqn.load_config("task=shelf", *SMALL)

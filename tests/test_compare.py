@@ -111,6 +111,14 @@ def test_runs_are_named_as_often_as_there_are(runs: tuple[Path, Path]) -> None:
             prepare("compare", [f"run={runs[0]}"] * count)
 
 
+@pytest.mark.parametrize("given", ["task=knife", "agent.gamma=0.1", "robot=ur3", "view.video=a.mp4", "seed=3"])
+def test_what_would_not_be_heeded_is_refused(runs: tuple[Path, Path], given: str) -> None:
+    with pytest.raises(BadInputError, match=f"{given.partition('=')[0]}: koopdqn compare shows its runs as they were"):
+        prepare("compare", [f"run={runs[0]}", f"run={runs[1]}", given])
+    with pytest.raises(BadInputError, match=r"compare\.runs: is given as run=DIR run=DIR"):
+        prepare("compare", [f"compare.runs=[{runs[0]},{runs[1]}]"])
+
+
 def test_runs_of_two_tasks_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     names = iter(("shelf", "knife"))
 

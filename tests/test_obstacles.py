@@ -11,7 +11,7 @@ from parts import Clerk
 from pydantic import ValidationError
 
 from koopdqn import pose
-from koopdqn.app import api
+from koopdqn.app import api, cli
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described
@@ -24,7 +24,7 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.base import Question
 from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.settings import load_settings
-from koopdqn.tasks.obstacles import Obstacle, read_obstacles
+from koopdqn.tasks.obstacles import Obstacle, hull_of_file, read_obstacles
 from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import COLLISION, Workcell, build_scene, open_workcell
@@ -104,6 +104,10 @@ def test_what_is_nearer_than_the_clearance_touches(shape: dict[str, Any]) -> Non
         ({"height_m": 0.1}, "must have radius_m alone, found height_m"),
         ({"shape": "box", "radius_m": None, "size_m": (0.1, 0.0, 0.1)}, "size_m must be above 0"),
         ({"shape": "mesh", "radius_m": None, "vertices_m": CUBE[:3]}, "vertices_m must be 4 to 500 points, found 3"),
+        (
+            {"shape": "mesh", "radius_m": None, "vertices_m": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]},
+            "vertices_m must not lie in one plane, found 4",
+        ),
         ({"shape": "mesh", "radius_m": None, "file": "nowhere.stl"}, "found no file"),
         ({"quaternion": (1.0, 1.0, 0.0, 0.0)}, "quaternion must have length 1"),
     ],
@@ -122,6 +126,44 @@ def test_a_mesh_file_becomes_the_corners_of_its_hull(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("- {name: cube, shape: mesh, center_m: [0.5, 0.0, 0.5], file: cube.obj}")
     (found,) = read_obstacles(tmp_path / "scene.yaml")
     assert np.allclose(sorted(found.vertices_m or ()), sorted((x + 0.2, y, z) for x, y, z in CUBE), atol=1e-5)
+
+
+def test_an_stl_file_in_text_is_read_as_any_other(tmp_path: Path) -> None:
+    corners = [(0, 0, 0), (1e-1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)]
+    facet = "facet normal 0 0 0\n outer loop\n{}\n endloop\nendfacet\n"
+    faces = [[corners[i] for i in face] for face in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))]
+    text = "".join(facet.format("\n".join("  vertex {} {} {}".format(*p) for p in face)) for face in faces)
+    (tmp_path / "wedge.stl").write_text(f"solid wedge\n{text}endsolid wedge\n")
+    assert sorted(map(tuple, hull_of_file(tmp_path / "wedge.stl"))) == sorted(corners)
+    (tmp_path / "flat.stl").write_text("solid flat\n" + facet.format("vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0"))
+    with pytest.raises(ValueError, match="do not lie in one plane"):
+        hull_of_file(tmp_path / "flat.stl")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[{name: a, shape: sphere, center_m: [1, 1, 1], radius_m: 3e-2}]", ""),
+        ("- &a {name: a, shape: sphere, center_m: [1, 1, 1], radius_m: 0.1}\n- *a\n", "two named a"),
+        ("5", "must be YAML"),
+        ("obstacles: ${a}", "must be a list"),
+        ("a: [", "must be YAML"),
+    ],
+)
+def test_what_a_file_of_obstacles_may_hold(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "scene.yaml").write_text(text)
+    if not said:
+        assert read_obstacles(tmp_path / "scene.yaml")[0].radius_m == 0.03
+        return
+    with pytest.raises(BadInputError, match=said):
+        read_obstacles(tmp_path / "scene.yaml")
+
+
+def test_a_goal_does_not_move_where_obstacles_stand(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text("[{name: a, shape: sphere, center_m: [1, 1, 1], radius_m: 0.1}]")
+    given = ["task=demonstrated", "task.goal_half_range_m=[0.05,0.05,0.05]", f"obstacles={tmp_path}/scene.yaml"]
+    assert cli.main(["train", *given, "demos=none.csv", f"out={tmp_path}/run"]) == 2
+    assert "goal_half_range_m must be null where obstacles stand still" in capsys.readouterr().err
 
 
 def test_a_file_of_obstacles_becomes_part_of_the_task(tmp_path: Path) -> None:

@@ -169,7 +169,9 @@ def test_a_correction_is_kept_with_the_policy(tmp_path: Path) -> None:
 
 def test_waypoints_are_a_list_or_a_file(tmp_path: Path) -> None:
     (tmp_path / "better.csv").write_text("0.1,0.2,0.3\n0.2,0.2,0.3\n")
+    (tmp_path / "marked.csv").write_text("\ufeff0.1,0.2,0.3\n0.2,0.2,0.3\n", encoding="utf-8")
     read = validate({"waypoints": str(tmp_path / "better.csv")}, CorrectionSettings)
+    assert read == validate({"waypoints": str(tmp_path / "marked.csv")}, CorrectionSettings)
     assert read == validate({"waypoints": [[0.1, 0.2, 0.3], [0.2, 0.2, 0.3]]}, CorrectionSettings)
     for wrong in (str(tmp_path / "none.csv"), [[0.1, 0.2]], [["x", 0.2, 0.3]]):
         with pytest.raises(BadInputError, match=r"waypoints"):

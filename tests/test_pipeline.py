@@ -42,6 +42,37 @@ def test_an_evaluation_tells_of_obstacles_that_the_policy_was_trained_without(ru
         assert read_json(tmp_path / name / "eval.json", "the evaluation")["as_trained"] == (name == "plain")
 
 
+@pytest.mark.parametrize("given", ["eval.start_scale=2", "robot=ur5e"])
+def test_an_evaluation_from_farther_out_or_of_another_arm_is_not_the_runs_own(
+    run: Path, tmp_path: Path, given: str
+) -> None:
+    assert cli.main(["eval", f"run={run}", given, *EVALUATING, f"out={tmp_path / 'eval'}"]) == 0
+    assert read_json(tmp_path / "eval" / "eval.json", "the evaluation")["as_trained"] is False
+
+
+def test_a_run_trained_among_obstacles_takes_no_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shape = "shape: sphere, radius_m: 0.03}]"
+    (tmp_path / "own.yaml").write_text(f"[{{name: lamp, center_m: [0.8, 0.6, 1.0], {shape}")
+    (tmp_path / "other.yaml").write_text(f"[{{name: post, center_m: [-0.5, 0.5, 0.2], {shape}")
+    trained = ["train", *SMALL, "train.max_steps=1500", f"obstacles={tmp_path}/own.yaml", f"out={tmp_path}/run"]
+    assert cli.main(trained) in (0, 1)
+    for obstacles, status in (("own", 0), ("other", 2)):
+        given = [f"obstacles={tmp_path}/{obstacles}.yaml", f"out={tmp_path}/{obstacles}"]
+        assert cli.main(["eval", f"run={tmp_path}/run", *EVALUATING, *given]) == status
+    assert "obstacles" in capsys.readouterr().err
+
+
+def test_a_run_is_corrected_with_its_own_arm(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["correct", f"run={run}", "robot=ur10", "waypoints=[[0.4,-0.15,0.46]]"]) == 2
+    assert "robot: must be the arm that the run was trained with, found UR10" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["export", "view", "stream", "explain", "correct", "train"])
+def test_a_goal_is_given_to_eval_alone(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([command, "goal=[0.6,0.1,0.5]"]) == 2
+    assert f"goal: koopdqn {command} goes to the goal that was demonstrated" in capsys.readouterr().err
+
+
 def test_a_run_is_shown_with_its_own_task(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["view", f"run={run}", "view.starts=1", f"out={tmp_path / 'view'}"]) == 0
     assert "task: as in the run" in capsys.readouterr().err

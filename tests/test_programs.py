@@ -93,6 +93,11 @@ def assert_within_limits(read: Timed, limits: Limits) -> None:
     assert (np.linalg.norm(np.diff(tool, axis=0), axis=1) / period <= limits.tool_speed).all()
 
 
+def test_a_motion_of_hours_is_refused_before_it_is_made() -> None:
+    with pytest.raises(WorkFailedError, match=r"must last at most 1000000 periods of .*program\.tool_speed_m_s"):
+        made(shelf(), tool_speed_m_s=1e-9)
+
+
 @pytest.mark.parametrize("start", STARTS)
 def test_urscript_read_back_starts_as_given_keeps_the_limits_and_follows_the_path(start: str, tmp_path: Path) -> None:
     given = program(start)

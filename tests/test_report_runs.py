@@ -1,15 +1,20 @@
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from report_runs import knife_parts, write_evaluation, write_run
 
 from koopdqn.app.commands.report import all_presets
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
+from koopdqn.files import sha256_of
+from koopdqn.intent.bend import Bend
 from koopdqn.report.runs import DEFAULT, PAPER, find_runs, group_runs
+from koopdqn.rl.policy import write_corrected
 
 if TYPE_CHECKING:
     from parts import Parts
@@ -88,6 +93,36 @@ def test_an_evaluation_among_obstacles_that_were_added_is_not_taken_for_the_runs
     among.write_text(json.dumps(json.loads(among.read_text()) | {"as_trained": False}))
     [found], _ = find_runs([tmp_path])
     assert found.evaluation_file == own
+
+
+def test_an_evaluation_of_an_earlier_policy_is_not_taken_for_the_runs(
+    tmp_path: Path, parts: "Parts", demonstrations: "Demonstrations"
+) -> None:
+    run = write_run(tmp_path / "train", parts, demonstrations)
+    own = write_evaluation(tmp_path / "own", parts, str(run), age=10)
+    policy = run / "policy.safetensors"
+    own.write_text(json.dumps(json.loads(own.read_text()) | {"policy": sha256_of(policy)}))
+    [found], _ = find_runs([tmp_path])
+    assert found.evaluation_file == own
+    other = write_evaluation(tmp_path / "other", parts, str(run), age=5)
+    other.write_text(json.dumps(json.loads(other.read_text()) | {"policy": "0" * 64}))
+    [found], _ = find_runs([tmp_path])
+    assert found.evaluation_file == own
+    policy.write_bytes(write_run(tmp_path / "another", parts, demonstrations, 7).joinpath(policy.name).read_bytes())
+    shutil.rmtree(tmp_path / "another")
+    [found], _ = find_runs([tmp_path])
+    assert found.evaluation_file is None
+
+
+def test_a_corrected_run_is_left_out(tmp_path: Path, parts: "Parts", demonstrations: "Demonstrations") -> None:
+    run = write_run(tmp_path / "train", parts, demonstrations)
+    policy = run / "policy.safetensors"
+    line = np.linspace([0.45, -0.2, 0.45], [0.38, -0.12, 0.47], 30)
+    write_corrected(tmp_path / "corrected", policy, Bend.none(line))
+    (tmp_path / "corrected").replace(policy)
+    runs, [skipped] = find_runs([tmp_path])
+    assert runs == []
+    assert "corrected by hand" in skipped.reason
 
 
 def test_an_evaluation_of_another_release_is_left_out_with_the_reason(

@@ -88,6 +88,14 @@ def test_other_commands_are_no_runs_of_a_sweep(tmp_path: Path, parts: "Parts") -
     assert [Path(run.folder).name for run in find_sweep(tmp_path)] == ["0"]
 
 
+def test_a_corrected_run_is_none_of_a_sweep(tmp_path: Path, parts: "Parts") -> None:
+    write_swept(tmp_path / "0", parts, 0)
+    write_swept(tmp_path / "1", parts, 0)
+    record = tmp_path / "1" / ".hydra" / "overrides.yaml"
+    record.write_text("- task=shelf\n- command=train\n- command=correct\n")
+    assert [Path(run.folder).name for run in find_sweep(tmp_path)] == ["0"]
+
+
 def test_a_folder_without_runs_is_bad_input(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"report\.sweep: must hold runs of koopdqn train .*found none in"):
         find_sweep(tmp_path)

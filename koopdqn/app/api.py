@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed, explain
-from koopdqn.app.hydra.overrides import literal
+from koopdqn.app.hydra.overrides import as_hydra_takes_it, literal
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import generate as generate_demonstrations
 from koopdqn.errors import BadInputError
@@ -51,15 +51,17 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
     """Return the config under overrides in Hydra's grammar, such as ``"task=shelf"`` and ``"seed=3"``.
 
     Args:
-        overrides: as on the command line; ``demos=`` names files as there.
+        overrides: as on the command line of ``koopdqn train``, short names such as ``obstacles=FILE`` included.
         config_dir: a folder of own options, searched beside koopdqn's.
 
     Raises:
         BadInputError: a key or option is unknown, a value breaks a rule, or ``demos=`` cannot be learned from.
     """
+    if config_dir is not None and not Path(config_dir).is_dir():
+        raise BadInputError(f"config_dir: must be a folder that exists, found {str(config_dir)!r}")
     own = [] if config_dir is None else [f"hydra.searchpath=[{literal(f'file://{Path(config_dir).resolve()}')}]"]
     try:
-        config = Configuration.load(composed([*own, "out=.", *overrides]))
+        config = Configuration.load(composed([*own, "out=.", *map(as_hydra_takes_it, overrides)]))
     except Exception as error:
         told = explain(error)
         if told is None:

@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, product
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
@@ -21,7 +21,7 @@ from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
 from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice
+from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice, check_goal_moves_alone
 
 if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Reachability
@@ -80,6 +80,11 @@ class Derivation(TaskChoice):
     goal_half_range_m: Vector3 | None = Field(
         default=None, description="half the region from which goals are drawn, along each axis; null: the goal stays"
     )
+
+    @model_validator(mode="after")
+    def _check_goal(self) -> Self:
+        check_goal_moves_alone(self.goal_half_range_m, self.obstacles)
+        return self
 
     def derive(self, demonstrations: Demonstrations) -> Derived:
         """Return the task of demonstrations.

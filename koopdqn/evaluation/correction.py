@@ -51,9 +51,9 @@ def read_waypoints(path: Path) -> tuple[tuple[float, ...], ...]:
     if not path.is_file():
         raise ValueError(f"must be a list of positions or a CSV file of them, found no file {str(path)!r}")
     try:
-        if not path.read_text(encoding="utf-8").strip():
+        if not path.read_text(encoding="utf-8-sig").strip():
             raise ValueError("an empty file")
-        rows = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
+        rows = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
         raise ValueError(f"{path}: must hold x,y,z a line, found {error}") from error
     return tuple(tuple(row) for row in rows.tolist())

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError
 
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.files import read_json
+from koopdqn.files import read_json, sha256_of
 from koopdqn.rl.schema import TrainReport
 from koopdqn.run_folder import check_plain
 from koopdqn.schema import ReportModel
@@ -17,6 +17,7 @@ from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
 
 TRAINING: Final = "train.json"
 EVALUATION: Final = "eval.json"
+POLICY: Final = "policy.safetensors"
 _OVERRIDES: Final = Path(".hydra") / "overrides.yaml"
 _CHECKPOINT: Final = Path("checkpoints") / "latest.safetensors"
 # What does not tell one variant from another.
@@ -60,11 +61,12 @@ def newest_evaluation(
 ) -> tuple[Path, dict[str, Any]] | tuple[None, None]:
     """Return the newest evaluation of the run in a folder, wherever it was named from, with its file; or nothing.
 
-    One among obstacles that it was trained without, or with a goal that was given, says nothing of how it learned.
+    One that was not as trained, or of another policy than the folder holds now, says nothing of how it learned.
     """
     wanted = folder.resolve()
+    policy = sha256_of(folder / POLICY) if (folder / POLICY).is_file() else None
     for file, content in evaluations:
-        if not content["as_trained"]:
+        if not content["as_trained"] or content["policy"] not in (policy, None):
             continue
         bases = [Path.cwd(), *file.resolve().parents]
         if content["task"] == task and any((base / content["run"]).resolve() == wanted for base in bases):
@@ -132,9 +134,11 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
         raise BadInputError(f"report.sweep: must name a folder that exists, found {str(folder)!r}")
     given = {file.parents[1]: _given(file) for file in folder.rglob(str(_OVERRIDES))}
     begun = {place for place, overrides in given.items() if overrides.get("command", "train") == "train"}
+    # A correction keeps the report of the training before it.
+    corrected = {place for place, overrides in given.items() if overrides.get("command") == "correct"}
     # Jobs are numbered, and 2 comes before 10.
     places = sorted(
-        begun | {file.parent for file in folder.rglob(TRAINING)},
+        begun | {file.parent for file in folder.rglob(TRAINING)} - corrected,
         key=lambda place: (place.parent, len(place.name), place.name),
     )
     if not places:

@@ -213,6 +213,12 @@ class EvaluationFile(EvaluationReport):
     run: Name = Field(description="folder of the run that was measured, as it was given or found")
     as_trained: bool = Field(
         default=True,
-        description="false where obstacles stood that the policy was trained without, or its goal was given; such an"
-        " evaluation is not taken for the run's own by `compare` and `report`",
+        description="false where obstacles stood that the policy was trained without, its goal was given, starts were"
+        " drawn from farther out or another arm moved; such an evaluation is not taken for the run's own by `compare`"
+        " and `report`",
+    )
+    policy: str | None = Field(
+        default=None,
+        description="SHA-256 of the policy's file that was measured: an evaluation is of a run as long as its policy is"
+        " that; null in files of earlier releases",
     )

@@ -8,7 +8,7 @@ taken away), the intent and its trust are asked there, and the answer is bent ba
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from koopdqn.pose import Array
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
+CORRECTED: Final = "bend/path"
+"""The array of a policy's file that only a corrected one holds: :attr:`Bend.path`."""
 # A waypoint may be at most this far from the path [m].
 _FARTHEST_M = 0.2
 # The way to a waypoint and from it, in its distance from the path, and at least [m].

@@ -18,6 +18,8 @@ _ROUNDS: Final = 200
 # What is aimed at, so that numbers rounded when they are written keep the limits too.
 _MARGIN: Final = 0.995
 _TINY: Final = 1e-12
+# More would be hours of motion.
+_MOST_SAMPLES: Final = 1_000_000
 # Where the flange moves by less than this share of its fastest, the path turns in place.
 _TURNING: Final = 0.02
 
@@ -195,6 +197,12 @@ def _averaged(times: Array, grid: Array, span: float, period: float) -> Array:
     step = period / fine
     widths = [max(1, round(share * span / step)) for share in (1.0, 0.5)]
     room = sum(widths)
+    if times[-1] > _MOST_SAMPLES * period:
+        raise WorkFailedError(
+            f"the motion must last at most {_MOST_SAMPLES} periods of {period:g} s, found {times[-1]:.3g} s:"
+            " program.speed_share, program.tool_speed_m_s, program.acceleration_rad_s2 or"
+            " program.jerk_rad_s3 is too low"
+        )
     count = int(np.ceil(times[-1] / step)) + 2 * room
     moments = step * (np.arange(count) - room / 2)
     place = np.interp(moments, times, grid)

@@ -9,6 +9,7 @@ from koopdqn.artifact import read_artifact, reading
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
 from koopdqn.files import digest
+from koopdqn.intent.bend import CORRECTED
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
@@ -129,7 +130,10 @@ def _read(folder: Path) -> Run:
     train = read_report(folder / TRAINING, "training report", TrainReport)
     if not (folder / DEMONSTRATIONS).is_file():
         raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
-    about = read_artifact(folder / POLICY, "policy").about
+    policy = read_artifact(folder / POLICY, "policy")
+    about = policy.about
+    if CORRECTED in policy.arrays:
+        raise BadInputError(f"run {folder} must be as it was trained, found it corrected by hand")
     try:
         nodes = {name: about[name] for name in ("task", "robot", "intent", "trust", "reward", "agent", "seed")}
     except KeyError as error:

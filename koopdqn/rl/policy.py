@@ -8,7 +8,7 @@ import numpy as np
 
 from koopdqn.artifact import Artifact, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
-from koopdqn.intent.bend import Bend
+from koopdqn.intent.bend import CORRECTED, Bend
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
@@ -89,7 +89,7 @@ def write_corrected(path: Path, source: Path, bend: Bend) -> None:
         BadInputError: the source is missing or damaged.
     """
     held = read_artifact(source, KIND)
-    arrays = {**held.arrays, f"{_BEND}path": bend.path, f"{_BEND}offsets": bend.offsets}
+    arrays = {**held.arrays, CORRECTED: bend.path, f"{_BEND}offsets": bend.offsets}
     write_artifact(path, Artifact(KIND, arrays, held.about))
 
 
@@ -114,7 +114,7 @@ def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Poli
         outputs = twist_size(task) if continuous else COUNT
         arrays = {name: values for name, values in artifact.arrays.items() if not name.startswith((_BEND, _FRAME))}
         bend = None
-        if f"{_BEND}path" in artifact.arrays:
+        if CORRECTED in artifact.arrays:
             bend = Bend(*(artifact.arrays[_BEND + name].astype(float) for name in ("path", "offsets")))
             bend.straightened(task.nominal_start[None])
         held, wanted = sum(values.size for values in arrays.values()), values_in(size(task), settings, outputs)

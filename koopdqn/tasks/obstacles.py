@@ -1,10 +1,11 @@
 """Obstacles: what stands in a task's scene besides its own furniture, each with a clearance."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, Strict, model_validator
+from pydantic import AfterValidator, Field, Strict, model_validator
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
@@ -67,6 +68,8 @@ class Obstacle(Settings):
             raise ValueError(
                 f"{self.name}: vertices_m must be 4 to {_MOST_VERTICES} points, found {len(self.vertices_m)}"
             )
+        if self.vertices_m is not None and _is_flat(np.array(self.vertices_m)):
+            raise ValueError(f"{self.name}: vertices_m must not lie in one plane, found {len(self.vertices_m)} that do")
         length = float(np.linalg.norm(self.quaternion))
         if abs(length - 1.0) > 1e-3:
             raise ValueError(f"{self.name}: quaternion must have length 1 within 0.001, found {length:g}")
@@ -84,7 +87,20 @@ class Obstacle(Settings):
         scene.obstacle(self.name, self.shape, place, size, self.clearance_m, self.vertices_m or ())
 
 
-Obstacles = Annotated[tuple[Obstacle, ...], Strict(False)]
+def _is_flat(points: np.ndarray) -> bool:
+    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(sizes[-1] <= 1e-6 * max(sizes[0], 1e-9))
+
+
+def _check_names(obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
+    names = [each.name for each in obstacles]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(f"obstacles must have a name each, found two named {twice}")
+    return obstacles
+
+
+Obstacles = Annotated[tuple[Obstacle, ...], Strict(False), AfterValidator(_check_names)]
 
 
 class _File(Settings):
@@ -98,12 +114,15 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
         BadInputError: the file is missing or no YAML, or an obstacle breaks a rule.
     """
     import yaml
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
 
     if not path.is_file():
         raise BadInputError(f"obstacles: must name a YAML file, found no file {str(path)!r}")
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        # Hydra's YAML, in which 3e-2 is a number.
+        content: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (yaml.YAMLError, UnicodeDecodeError, OmegaConfBaseException, OSError) as error:
         raise BadInputError(f"obstacles {path}: must be YAML, found {' '.join(str(error).split())}") from error
     found = content if isinstance(content, dict) else {"obstacles": content}
     items = found.get("obstacles")
@@ -125,10 +144,13 @@ def hull_of_file(path: Path) -> list[list[float]]:
         ValueError: the file is missing or MuJoCo cannot read it.
     """
     import mujoco
-    from scipy.spatial import ConvexHull
 
     if not path.is_file():
         raise ValueError(f"file must name an STL or OBJ file, found no file {str(path)!r}")
+    content = path.read_bytes()
+    if content.lstrip().startswith(b"solid") and b"facet" in content:
+        # STL in text, which MuJoCo does not read.
+        return _corners(np.array([each.split() for each in re.findall(rb"\bvertex\s+(.*)", content)], dtype=float))
     spec = mujoco.MjSpec()
     spec.add_mesh(name="mesh", file=str(path.resolve()))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
@@ -138,5 +160,18 @@ def hull_of_file(path: Path) -> list[list[float]]:
         raise ValueError(f"file must be a mesh that MuJoCo reads, found {' '.join(str(error).split())}") from error
     # MuJoCo moves a mesh to its principal axes.
     points = pose.rotate(model.mesh_quat[0], model.mesh_vert.astype(float)) + model.mesh_pos[0]
+    return _corners(points)
+
+
+def _corners(points: np.ndarray) -> list[list[float]]:
+    """Return the corners of the convex hull of points (N, 3).
+
+    Raises:
+        ValueError: they are not three numbers each, or lie in one plane.
+    """
+    from scipy.spatial import ConvexHull
+
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all() or _is_flat(points):
+        raise ValueError(f"file must hold points of three numbers that do not lie in one plane, found {points.shape}")
     corners = points[ConvexHull(points).vertices]
     return [[round(float(value), 6) for value in corner] for corner in corners]

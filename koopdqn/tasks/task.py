@@ -32,6 +32,12 @@ _LEAST_CHORD_M = 1e-3
 _CONSTANT_YAW = 1.0
 
 
+def check_goal_moves_alone(half: Vector3 | None, obstacles: Obstacles) -> None:
+    """Raise ValueError if a goal moves within ``half`` its range [m] where obstacles stand still."""
+    if half is not None and obstacles:
+        raise ValueError(f"goal_half_range_m must be null where obstacles stand still, found {half}")
+
+
 class TaskChoice(Settings, ABC):
     """An option of the group ``task``: a task, or how one is made from demonstrations."""
 
@@ -104,8 +110,7 @@ class Task(TaskChoice):
                 f"goal_half_range_m must be null for task {self.name}, whose demonstrations pass things that stand"
                 f" still, found {half}"
             )
-        if self.obstacles:
-            raise ValueError(f"goal_half_range_m must be null where obstacles stand still, found {half}")
+        check_goal_moves_alone(half, self.obstacles)
         if min(half) < 0 or max(half) == 0:
             raise ValueError(f"goal_half_range_m must not be negative, and above 0 along some axis, found {half}")
 

@@ -45,7 +45,9 @@ class _Learned:
 
     @classmethod
     def read(cls, config: Configuration, source: Path) -> "_Learned":
-        policy, _ = read_policy(source / POLICY, config.task)
+        policy, about = read_policy(source / POLICY, config.task)
+        if pipeline.differs_from_trained(config.robot, about["robot"]):
+            raise BadInputError(f"robot: must be the arm that the run was trained with, found {config.robot.name}")
         limit, workcell = step_limit_of(source / REPORT), pipeline.open_scene(config)
         controller = policy if policy.bend is None else PolicyAround(policy, policy.bend)
         episode = played(workcell, controller, limit)

@@ -15,7 +15,7 @@ from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
-from koopdqn.files import read_json, write_json
+from koopdqn.files import read_json, sha256_of, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
 from koopdqn.settings import shown
@@ -74,8 +74,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             config.guard,
         )
     added = bool(config.task.obstacles) and not about["task"].get("obstacles")
-    as_trained = not added and config.eval.goal is None
-    content = {**evaluation.report, "run": str(source), "as_trained": as_trained}
+    another_arm = pipeline.differs_from_trained(config.robot, about["robot"])
+    as_trained = not (added or another_arm) and config.eval.goal is None and config.eval.start_scale == 1.0
+    content = {**evaluation.report, "run": str(source), "as_trained": as_trained, "policy": sha256_of(source / POLICY)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / "eval.json", report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])

@@ -48,6 +48,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     task, feedback = trained.workcell.task, trained.feedback
     walk = walked(episode, policy, feedback, task, trained.step_limit, referred=referred)
     row, why = telling_step(walk, task)
+    if chosen.step is not None and chosen.pose is not None:
+        raise BadInputError(f"explain.step: must stand without explain.pose, found step {chosen.step} and a pose")
     if chosen.step is not None:
         row, why = chosen.step, "it was asked for"
         if row > episode.steps:
@@ -56,7 +58,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     off_path: float | None = 1e3 * float(walk.apart[row])
     here = 0 if chosen.pose is not None else row
     if chosen.pose is not None:
-        row, why, off_path = chosen.step or 0, "the pose was given", None
+        row, why, off_path = 0, "the pose was given", None
         given, start = np.array(chosen.pose)[None], episode.poses[:1]
         evaluation = feedback.evaluate_actions(given, np.array([row]), start)
         values, joints = policy.values(given, start)[0], trained.workcell.reachability.enter(given[0]).joints

@@ -134,7 +134,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     if not changed:
         return config
     recorded = composed(prepare("eval", [f"run={run}"]).overrides)
-    if config.task.obstacles:
+    if config.task.obstacles and not about["task"].get("obstacles"):
         recorded.task.obstacles = described(config.task)["obstacles"]
     default = with_task(Configuration.load(recorded), run, keep=False)
     own = [name for name in changed if described(getattr(default, name)) == described(getattr(config, name))]
@@ -150,6 +150,13 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         robot=robot if "robot" in own else config.robot,
         reward=reward if "reward" in own else config.reward,
     )
+
+
+def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:
+    """Return whether an arm is another than the one that a policy's file says it was trained with."""
+    mine: Any = robot
+    its: Any = load_settings({**trained, **_place_of(robot, trained)}, Arm, "robot")
+    return described(mine) != described(its)
 
 
 def _place_of(robot: Arm, trained: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """``koopdqn stream run=DIR``: a learned path, checked and sent to a UR's controller while the arm moves."""
 
 import contextlib
-import hashlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.program import program_of
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
-from koopdqn.files import write_json
+from koopdqn.files import sha256_of, write_json
 from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.programs.schema import StreamFile
 from koopdqn.programs.streaming import Streamed, read_state, stream
@@ -49,7 +48,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     report = StreamFile(
         task=program.task,
         arm=program.arm.name,
-        policy=hashlib.sha256((trained / POLICY).read_bytes()).hexdigest(),
+        policy=sha256_of(trained / POLICY),
         host=settings.host,
         moved=settings.move,
         seconds=float(motion.times[-1]),

@@ -121,6 +121,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     named = bool(folders) and folders[-1] != "null"
     if command in ("view", "export") and named and "demos" in keys:
         raise BadInputError(f"demos: koopdqn {command} takes either run= or demos=, found both")
+    if command == "compare":
+        _check_compared(prepared)
     if command == "correct" and not named:
         raise BadInputError("run: must name the trained run to correct, found none")
     if (
@@ -171,11 +173,26 @@ def _with_runs(overrides: Sequence[str]) -> list[str]:
     """Return the overrides with every ``run=DIR`` gathered in ``compare.runs=``, the first of them kept."""
     folders = [_value(each) for each in overrides if _key(each) == "run"]
     rest = [each for each in overrides if _key(each) != "run"]
+    if any(_key(each) == "compare.runs" for each in rest):
+        raise BadInputError("compare.runs: is given as run=DIR run=DIR, found compare.runs=")
     if not 2 <= len(folders) <= _MOST_COMPARED:
         raise BadInputError(
             f"run: koopdqn compare needs 2 to {_MOST_COMPARED} runs (run=DIR run=DIR), found {len(folders)}"
         )
     return [*rest, f"run={_text(folders[0])}", f"compare.runs=[{','.join(map(literal, folders))}]"]
+
+
+def _check_compared(prepared: Sequence[str]) -> None:
+    """Raise BadInputError for what ``compare`` would not heed: its runs are what they were trained as."""
+    for override in prepared:
+        root, _, rest = _key(override).partition(".")
+        if root not in ("run", "compare", "out", "eval", "trust_modules", "hydra") and (root, rest) != (
+            "view",
+            "starts",
+        ):
+            raise BadInputError(
+                f"{_key(override)}: koopdqn compare shows its runs as they were trained, found {shown(override)}"
+            )
 
 
 def newest_trained_run(below: Path = Path("runs")) -> Path:
@@ -226,6 +243,15 @@ def _trusted(prepared: Iterable[str]) -> list[str]:
     return found
 
 
+def as_hydra_takes_it(override: str) -> str:
+    """Return an override of ``koopdqn train`` as Hydra takes it, its short name written out.
+
+    Raises:
+        BadInputError: it is no override, or names a file that cannot be read.
+    """
+    return _prepare_one("train", override)
+
+
 def _prepare_one(command: str, override: str) -> str:
     name, equals, value = override.partition("=")
     if not _is_override(override):
@@ -234,6 +260,11 @@ def _prepare_one(command: str, override: str) -> str:
         name = "intent_file"
     if name == "obstacles":
         return _obstacles(value)
+    if name == "goal" and command != "eval":
+        raise BadInputError(
+            f"goal: koopdqn {command} goes to the goal that was demonstrated, found {shown(value)}; koopdqn eval takes"
+            " another"
+        )
     name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
     if name in PATH_KEYS and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
