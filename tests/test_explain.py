@@ -160,6 +160,7 @@ def test_people_are_told_in_a_table(run: Path, tmp_path: Path, capsys: pytest.Ca
         ("start=12", "explain.start: must be below eval.episodes (12), found 12"),
         ("step=100000", "explain.step: must be at most"),
         ("pose=[0,0,0,1,1,0,0]", "explain.pose: must have a quaternion of length 1 within 0.001, found 1.41421"),
+        ("pose=[5,-0.2,0.45,1,0,0,0]", "explain.pose: must be one that the arm can take, found it unreachable"),
         ("pose=[0,0,0]", "explain.pose: must be a list of 7 numbers"),
     ],
 )

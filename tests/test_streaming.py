@@ -55,6 +55,13 @@ def test_every_sample_is_sent_in_order_and_time_and_the_arm_is_stopped() -> None
     assert told.kinds[-1] == STOP_SCRIPT
 
 
+@pytest.mark.parametrize(("robot", "period", "own"), [("ur5e", 0.003, 0.002), ("ur5", 0.002, 0.008)])
+def test_the_period_is_one_that_the_controller_can_keep(robot: str, period: float, own: float, tmp_path: Path) -> None:
+    config = load_config(f"robot={robot}", f"program.period_s={period}", "run=somewhere")
+    with pytest.raises(BadInputError, match=f"must be a multiple of {own} s, .* found {period}"):
+        command.run(config, tmp_path)
+
+
 def test_a_key_stops_the_arm_at_once() -> None:
     with controller(ARM.home) as told:
         made = stream(HOST, MOTION, after(7))

@@ -61,7 +61,13 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         row, why, off_path = 0, "the pose was given", None
         given, start = np.array(chosen.pose)[None], episode.poses[:1]
         evaluation = feedback.evaluate_actions(given, np.array([row]), start)
-        values, joints = policy.values(given, start)[0], trained.workcell.reachability.enter(given[0]).joints
+        taken = trained.workcell.reachability.enter(given[0])
+        if taken.joints is None:
+            raise BadInputError(
+                f"explain.pose: must be one that the arm can take, found it {taken.reason.replace('_', ' ')}:"
+                f" {taken.detail}"
+            )
+        values, joints = policy.values(given, start)[0], taken.joints
     trajectories = agent_steps(trained.demonstrations, task)
     local = feedback.reward.model.placed(trajectories)
     trusted, trust = trust_of(feedback, evaluation, here)

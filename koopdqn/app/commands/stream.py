@@ -19,6 +19,8 @@ from koopdqn.programs.streaming import Streamed, read_state, stream
 from koopdqn.robot.ur import URArm
 
 REPORT_NAME = "stream.json"
+# Periods of the controllers of both series [s].
+_CB_SERIES_S, _E_SERIES_S, _SAME_PERIOD = 0.008, 0.002, 1e-6
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -33,6 +35,12 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         raise BadInputError("run: must name the run whose path is streamed, found none")
     if not isinstance(config.robot, URArm):
         raise BadInputError(f"robot: must be of the UR family to stream to its controller, found {config.robot.name}")
+    own, period = _E_SERIES_S if config.robot.name.endswith("e") else _CB_SERIES_S, config.program.period_s
+    if abs(period / own - round(period / own)) > _SAME_PERIOD:
+        raise BadInputError(
+            f"program.period_s: must be a multiple of {own:g} s, the period of a {config.robot.name}'s controller, found"
+            f" {period:g}"
+        )
     if settings.move and settings.host is None:
         raise BadInputError("stream.host: must be given to move the arm (host=ADDRESS), found none")
     if settings.move:
