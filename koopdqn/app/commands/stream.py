@@ -38,8 +38,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     own, period = _E_SERIES_S if config.robot.name.endswith("e") else _CB_SERIES_S, config.program.period_s
     if abs(period / own - round(period / own)) > _SAME_PERIOD:
         raise BadInputError(
-            f"program.period_s: must be a multiple of {own:g} s, the period of a {config.robot.name}'s controller, found"
-            f" {period:g}"
+            f"program.period_s: must be a multiple of {own:g} s, the period of a {config.robot.name}'s controller,"
+            f" found {period:g}"
         )
     if settings.move and settings.host is None:
         raise BadInputError("stream.host: must be given to move the arm (host=ADDRESS), found none")
