@@ -104,8 +104,15 @@ def test_two_that_turn_at_other_times_differ_in_their_turn_alone() -> None:
         path[:, 3:] = pose.from_rotation_vector(angle[:, None] * [1.0, 0.0, 0.0])
     early[:, 1] += 0.003
     drawn = tube([early, late])
-    assert drawn.radius[:, 0].max() < 0.01
+    assert drawn.radius[:, 0].max() == default().fixed_radius_m
     assert drawn.radius[:, 1].min() > 0.2
+    early[:, 1] += 0.04
+    assert tube([early, late]).radius[:, 0].min() > 0.04
+    [path] = person(np.random.default_rng(0), 1)
+    alike = tube([path, path])
+    np.testing.assert_array_equal(
+        alike.radius, np.tile([default().fixed_radius_m, default().fixed_radius_rad], (len(alike.radius), 1))
+    )
 
 
 @settings(max_examples=30)

@@ -32,7 +32,7 @@ class TubeSettings(TrustSettings):
     )
     floor_m: float = Field(gt=0, description="spread added to that of the demonstrations' positions [m]")
     floor_rad: float = Field(gt=0, description="spread added to that of their orientations [rad]")
-    fixed_radius_m: float = Field(gt=0, description="radius around a single demonstration [m]")
+    fixed_radius_m: float = Field(gt=0, description="radius around a single demonstration, the least around two [m]")
     fixed_radius_rad: float = Field(gt=0, description="the same of its orientation [rad]")
     answer_radius_rad: float = Field(
         gt=0, le=3.2, description="rotation distance from an answer's pose within which it certifies [rad]"
@@ -47,15 +47,20 @@ class TubeSettings(TrustSettings):
 
         A jackknife: a demonstration's score is the largest distance of its states from the mean of the others, in
         spreads. The radius is the score of the given rank times the spread of all, but at most 2√n times that spread:
-        an odd one among n that are alike is far off in their spread and widens that of all, which counts it twice. With
-        few demonstrations the coverage is not guaranteed (Barber et al. 2021); ``fit.fresh`` measures it.
+        an odd one among n that are alike is far off in their spread and widens that of all, which counts it twice. Two
+        have the distances between them as radii, but at least those of a single one. With few demonstrations the
+        coverage is not guaranteed (Barber et al. 2021); ``fit.fresh`` measures it.
         """
         middle = Middle.of(trajectories, self)
+        fixed = np.array([self.fixed_radius_m, self.fixed_radius_rad])
         if len(trajectories) == 1:
-            radius = np.tile([self.fixed_radius_m, self.fixed_radius_rad], (len(middle.poses), 1))
+            radius = np.tile(fixed, (len(middle.poses), 1))
         else:
             scores = np.sort(self._scores(trajectories), axis=0)
             radius = np.minimum(scores[self.rank(len(scores)) - 1], self._most(len(scores))) * middle.spread
+        if len(trajectories) < _LEAST_FOR_SPREAD:
+            # That two happen to be alike says little.
+            radius = np.maximum(radius, fixed)
         places = [middle.nearest(rows[:-1]) for rows in trajectories]
         window = round(self.smoothing_m / self.spacing_m)
         sure = calibrate(places, signs, len(middle.poses), window, self)
