@@ -20,7 +20,7 @@ from koopdqn.app.commands.eval import step_limit_of
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import WorkFailedError
-from koopdqn.evaluation.correction import Followed, along, played
+from koopdqn.evaluation.correction import Followed, along, in_base, in_frame, played
 from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.policy import read_policy
@@ -37,14 +37,15 @@ def corrected(run: Path) -> Iterator[Followed | str]:
     policy, _ = read_policy(run / pipeline.POLICY, config.task)
     limit, workcell = step_limit_of(run / "train.json"), pipeline.open_scene(config)
     learned = played(workcell, policy, limit)
-    was = along(learned)
+    was, start, frame = along(learned, policy.frame), workcell.task.nominal_start, policy.frame
     for first, last in _STRETCHES:
         rows = (np.linspace(first, last, len(_ASIDE_M)) * (len(was.path) - 1)).astype(int)
         for way in _WAYS.values():
-            waypoints = was.path[rows] + _ASIDE_M[:, None] * way
+            waypoints = in_base(was.path[rows], start, frame) + _ASIDE_M[:, None] * way
             try:
-                now = was.through(waypoints)
-                yield Followed.of(learned, played(workcell, PolicyAround(policy, now), limit), was, now, waypoints)
+                now = was.through(in_frame(waypoints, start, frame))
+                new = played(workcell, PolicyAround(policy, now), limit)
+                yield Followed.of(learned, new, was, now, waypoints, frame)
             except WorkFailedError as error:
                 yield str(error).partition("found ")[2].partition(" ")[0]
 

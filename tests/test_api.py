@@ -10,6 +10,9 @@ from small_run import SMALL
 
 import koopdqn
 from koopdqn.app import cli
+from koopdqn.demonstrations.csv import write_csv
+from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.resources import conf_dir
 
@@ -50,6 +53,17 @@ def test_a_bad_config_is_told_as_on_the_command_line(overrides: list[str], words
 def test_a_folder_of_own_options_must_exist() -> None:
     with pytest.raises(BadInputError, match="config_dir: must be a folder that exists, found '/nope'"):
         koopdqn.load_config(config_dir="/nope")
+
+
+def test_the_folder_it_is_called_in_is_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, demonstrations: Demonstrations
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_hdf5(tmp_path / "demos.hdf5", demonstrations)
+    with pytest.raises(BadInputError, match="demos: must name the files"):
+        koopdqn.load_config("task=demonstrated")
+    write_csv(tmp_path / "other.csv", demonstrations.items[:2])
+    assert koopdqn.load_config("task=demonstrated", "demos=other.csv").task.name == "demonstrated"
 
 
 def test_short_names_are_taken_as_on_the_command_line(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from koopdqn.app.correcting.showing import ADD, BACK, ON, PLAY, Showing
 from koopdqn.evaluation.correction import MOST_WAYPOINTS, along, read_waypoints
 from koopdqn.pose import POSITION
 from koopdqn.tasks.rollout import SUCCESS, Episode
+from koopdqn.tasks.start_frame import STILL
 
 FEW = settings(max_examples=20, deadline=None)
 MIDDLE = ON * 50
@@ -35,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def begin(episode: Episode, folder: Path, keys: str = "") -> Showing:
     """Press keys on a path that stands at its start."""
-    showing = Showing(episode, along(episode), shelf(), folder / "waypoints.csv")
+    showing = Showing(episode, along(episode, STILL), STILL, shelf(), folder / "waypoints.csv")
     showing.file.unlink(missing_ok=True)
     showing.press(PLAY)
     for key in keys:
@@ -46,7 +47,7 @@ def begin(episode: Episode, folder: Path, keys: str = "") -> Showing:
 def test_a_played_path_goes_from_its_start_to_its_end_and_stops_where_it_is_told(
     episode: Episode, folder: Path
 ) -> None:
-    showing = Showing(episode, along(episode), shelf(), folder / "waypoints.csv")
+    showing = Showing(episode, along(episode, STILL), STILL, shelf(), folder / "waypoints.csv")
     np.testing.assert_allclose(showing.here, episode.poses[0], atol=2e-3)
     showing.play(1.0)
     assert showing.place == pytest.approx(0.1)
@@ -79,7 +80,7 @@ def test_whatever_is_pressed_the_file_holds_what_is_added(episode: Episode, fold
     np.testing.assert_array_equal(held, showing.waypoints)
     assert len(held) == len(showing.added)
     if len(held):
-        along(episode).through(held)
+        along(episode, STILL).through(held)
 
 
 def test_waypoints_come_in_the_order_of_the_path_and_the_last_added_is_taken_back_first(
@@ -103,7 +104,7 @@ def test_the_path_under_way_is_the_one_that_the_waypoints_give(episode: Episode,
     assert moved is not None
     assert np.linalg.norm(moved - showing.waypoint, axis=1).min() < 1e-6
     showing.press(ADD)
-    given = along(episode).through(showing.waypoints)
+    given = along(episode, STILL).through(showing.waypoints)
     assert showing.under_way is not None
     np.testing.assert_array_equal(showing.under_way, given.bent)
 

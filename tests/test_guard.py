@@ -17,7 +17,8 @@ from koopdqn.evaluation.dynamics import play
 from koopdqn.evaluation.evaluate import evaluate
 from koopdqn.evaluation.settings import EvaluationSettings
 from koopdqn.pose import Array
-from koopdqn.programs.program import make_program
+from koopdqn.programs.program import check_clear, make_program
+from koopdqn.programs.timing import Motion
 from koopdqn.safety import Guard, GuardSettings
 from koopdqn.safety.guard import CAUSES, SPEED, TUBE
 from koopdqn.tasks.actions import COUNT, nearest_actions
@@ -33,6 +34,15 @@ def guard(*, tube: bool = True, **fields: object) -> Guard:
     known = taught()
     allowed = GuardSettings.model_validate({**dict(SETTINGS), **fields})
     return Guard(shelf(), allowed, known.trust if tube else None, known.model.start_frame)
+
+
+def test_a_program_keeps_what_the_guard_keeps() -> None:
+    joints, reason = shelf().reachability.follow(taught().trajectories[0])
+    assert joints is not None, reason
+    motion = Motion(0.02, joints, shelf().arm.forward(joints), np.arange(float(len(joints))))
+    check_clear(guard(clearance_m=0.0005), motion)
+    with pytest.raises(WorkFailedError, match=r"the arm must keep 24 mm from what stands around.* after .* s at \["):
+        check_clear(guard(clearance_m=0.024), motion)
 
 
 def constant(action: int) -> Controller:

@@ -283,6 +283,13 @@ def test_a_spent_budget_asks_no_more(make: Make, workcell: Workcell, when_spent:
         assert trainer.env_steps >= 300 or len(trainer.history.rewards) >= 60
 
 
+def test_questions_are_numbered_without_a_journal_too(make: Make, workcell: Workcell) -> None:
+    clerk = Scripted(ScriptedOracle(workcell.task), {})
+    make(clerk, train={"max_steps": 200, **UNCHECKED}).run()
+    assert [asked.number for asked in clerk.asked] == list(range(len(clerk.asked)))
+    assert len(clerk.asked) > 1
+
+
 def test_without_a_budget_none_is_spent(make: Make) -> None:
     trainer = make()
     trainer.run()

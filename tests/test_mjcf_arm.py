@@ -1,6 +1,7 @@
 """An arm of any MJCF file: seven joints by damped least squares, six in closed form, and what a file must say."""
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -8,17 +9,20 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.app.api import load_config, open_workcell
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.dynamics import Execution, play
 from koopdqn.pose import Array
 from koopdqn.resources import asset_path
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import MjcfArm
 from koopdqn.settings import load_settings
+from koopdqn.tasks.workcell import Reachability, Workcell, build_scene
 
 SEVEN = Path(__file__).with_name("seven.xml")
 MENAGERIE = os.environ.get("MENAGERIE_ROOT", "")
@@ -186,6 +190,40 @@ def test_a_record_may_not_name_a_file_elsewhere(tmp_path: Path) -> None:
         prepare("train", [f"run={tmp_path}"])
     given = prepare("train", [f"run={tmp_path}", "robot.path=mine.xml"]).overrides
     assert [each for each in given if each.startswith("robot.path")] == ["robot.path=mine.xml"]
+
+
+def followed(folder: Path, text: str) -> Execution:
+    """What becomes of a slow turn of the base in the dynamics of an arm of this XML."""
+    (folder / "arm.xml").write_text(text)
+    arm: Any = load_config(
+        "robot=mjcf", f"robot.path='{folder}/arm.xml'", "robot.site=flange", "robot.torque_limits=100"
+    ).robot
+    scene = build_scene(load_parts().task, arm)
+    cell = Workcell(load_parts().task, arm, scene, Reachability(arm, scene, arm.step_seconds))
+    way = np.array(arm.home) + 0.002 * np.arange(60.0)[:, None] * np.eye(7)[0]
+    return play(cell, way, np.full(59, 0.02))
+
+
+def test_a_tendons_motor_is_not_taken_for_a_joints(tmp_path: Path) -> None:
+    finger = (
+        '<body name="finger" pos="0 0 0.06"><joint name="finger" type="slide" axis="1 0 0" range="0 0.04"/>'
+        '<geom type="box" size="0.005 0.005 0.005" mass="0.01" contype="0" conaffinity="0"/></body>'
+    )
+    site, hand = '<site name="flange" pos="0 0 0.05"/>', '<position name="hand" tendon="grip" kp="50" kv="5"/>'
+    text = SEVEN.read_text().replace(site, site + finger).replace('1.7 0 -0.2 0"', '1.7 0 -0.2 0 0"')
+    tendon = '<tendon><fixed name="grip"><joint joint="finger" coef="1"/></fixed></tendon>'
+    for first in (True, False):
+        motors = tendon + ("<actuator>" + hand if first else "<actuator>")
+        made = text.replace("<actuator>", motors).replace("</actuator>", ("" if first else hand) + "</actuator>")
+        assert followed(tmp_path, made).tracking_error_mm.max() < 2.0
+
+
+def test_gravity_that_motors_compensate_counts_once(tmp_path: Path) -> None:
+    text = SEVEN.read_text()
+    by_motors = re.sub(r'<joint name="(A\d)"', r'<joint name="\1" actuatorgravcomp="true"', text)
+    assert by_motors != text
+    once, said = followed(tmp_path, text).torque_ratio, followed(tmp_path, by_motors).torque_ratio
+    assert said == pytest.approx(once, rel=0.02)
 
 
 def test_the_shelf_is_reached_by_seven_joints(seven: MjcfArm) -> None:

@@ -1,17 +1,20 @@
 """Moved goals: what was demonstrated moves with them, and the arm goes to where they are in the world."""
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers_shown import arc, derivation, recorded, shown
-from parts import load_parts, with_fields
+from parts import Clerk, load_parts, with_fields
 from pydantic import ValidationError
 
 from koopdqn import pose
 from koopdqn.app.api import load_config
 from koopdqn.demonstrations.derivation import Derived
+from koopdqn.envs import batch as environments
+from koopdqn.envs.batch import Batch, EnvironmentParts
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import drawn_starts, evaluate
@@ -20,7 +23,8 @@ from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.reward import IntentReward
 from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
-from koopdqn.tasks.rollout import SUCCESS
+from koopdqn.tasks.moved_goals import FlangeAlone
+from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 PARTS = load_parts("intent.count=200")
@@ -53,6 +57,26 @@ def _cell() -> Workcell:
 def _reward() -> IntentReward:
     fitted = fit(_derived().training, _derived().task, PARTS.intent, PARTS.trust, PARTS.reward)
     return IntentReward(_derived().task, fitted.model, fitted.trust, PARTS.reward)
+
+
+def test_an_environment_knows_the_flange_alone_and_is_measured_with_the_arm(monkeypatch: pytest.MonkeyPatch) -> None:
+    parts = EnvironmentParts(_cell(), _reward(), Clerk(), 800)
+    batch = Batch(parts, 16, np.random.default_rng(0))
+    assert isinstance(batch._env.workcell.reachability, FlangeAlone)
+    given: list[Any] = []
+
+    def rolled(*parts: Any, moved: Any) -> list[Episode]:
+        given.extend([parts, moved])
+        return [SimpleNamespace(outcome=SUCCESS)] * 20  # type: ignore[list-item]
+
+    monkeypatch.setattr(environments, "roll_out", rolled)
+    assert parts.success_rate(lambda seen: np.zeros(len(seen)), 20) == 1.0
+    (_, _, reachability, starts, joints, _), moved = given
+    assert not isinstance(reachability, FlangeAlone)
+    assert np.abs(moved).max() > 0.03
+    world = starts.copy()
+    world[:, :3] += moved
+    np.testing.assert_allclose(_cell().arm.forward(joints)[:, :3], world[:, :3], atol=1e-6)
 
 
 def _evaluated(**changed: Any) -> Any:

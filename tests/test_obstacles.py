@@ -26,6 +26,7 @@ from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.settings import load_settings
 from koopdqn.tasks.obstacles import Obstacle, hull_of_file, read_obstacles
 from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import COLLISION, Workcell, build_scene, open_workcell
 
@@ -221,6 +222,17 @@ def test_a_state_on_the_bent_path_is_trusted_as_the_one_on_the_path_was() -> Non
     was = known.trust.contains(known.trajectories[0], steps)
     assert (reward.trust.contains(bent, steps) == was).mean() > 0.95
     assert was.mean() > 0.9
+
+
+def test_the_path_that_is_kept_clear_is_told_in_the_start_frame() -> None:
+    cell, model = shelf(), taught().model
+    start, goal = cell.task.nominal_start, cell.task.goal
+    # The frame's own start is another, as where paths are regressed on their starts.
+    framed = model.within(StartFrame(start[:3] + np.array([0.0, 0.02, 0.0]), goal[:3], follows=True))
+    grid = planning._Grid.along(cell, framed, start[None])
+    path = framed.intended_paths(start[None], 2000, cell.task.step_m)[:, 0]
+    back = framed.start_frame.from_frame(grid.poses, start[None], grid.poses)
+    assert np.linalg.norm(back[:, None, :3] - path[None, :, :3], axis=2).min(axis=1).max() < 0.002
 
 
 def test_a_bent_path_that_the_arm_cannot_follow_is_no_way() -> None:

@@ -12,7 +12,7 @@ from koopdqn.app import cli
 from koopdqn.app.api import load_config
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, played
+from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, in_base, in_frame, played
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround, around, tube_of
@@ -23,7 +23,7 @@ from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
 from koopdqn.settings import validate
 from koopdqn.tasks.actions import reached_poses
-from koopdqn.tasks.start_frame import STILL
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.twists import twists_between
 
 LIMIT = 800
@@ -115,10 +115,10 @@ def test_waypoints_that_no_path_can_take_are_refused(waypoints: list[list[float]
 @pytest.mark.parametrize("policy", [_Rewarded(), _Twisted()], ids=["of Table 1", "continuous"])
 def test_the_corrected_stretch_is_followed_and_the_rest_stays(policy: Policy) -> None:
     old = played(shelf(), policy, LIMIT)
-    was = along(old)
+    was = along(old, STILL)
     waypoints = _lifted(was)
     now = was.through(waypoints)
-    found = Followed.of(old, played(shelf(), PolicyAround(policy, now), LIMIT), was, now, waypoints)
+    found = Followed.of(old, played(shelf(), PolicyAround(policy, now), LIMIT), was, now, waypoints, STILL)
     assert found.moved.max() > 0.039
     assert found.missed.max() < 0.003
     assert found.inside.max() < 0.0035
@@ -126,8 +126,19 @@ def test_the_corrected_stretch_is_followed_and_the_rest_stays(policy: Policy) ->
     assert found.behind.mean() < 0.002
 
 
+def test_waypoints_and_path_meet_in_the_start_frame() -> None:
+    start = shelf().task.nominal_start
+    frame = StartFrame(start[:3] + np.array([0.0, 0.02, 0.0]), shelf().task.goal[:3], follows=True)
+    old = played(shelf(), _Rewarded(), LIMIT)
+    seen = in_base(along(old, frame).path, start, frame)
+    smooth = along(old, STILL).path
+    assert np.linalg.norm(seen[:, None] - smooth, axis=2).min(axis=1).max() < 1e-3
+    np.testing.assert_allclose(in_base(in_frame(seen, start, frame), start, frame), seen, atol=1e-6)
+    assert np.abs(along(old, frame).path[:10] - smooth[:10]).max() > 0.015
+
+
 def test_the_guards_tube_goes_with_a_correction() -> None:
-    was = along(played(shelf(), _Rewarded(), LIMIT))
+    was = along(played(shelf(), _Rewarded(), LIMIT), STILL)
     now = was.through(was.path[[len(was.path) // 2]] + np.array([[0.0, 0.0, 0.08]]))
     corrected = PolicyAround(_Twisted(now), now)
     made, trust = played(shelf(), corrected, LIMIT), taught().trust
@@ -140,7 +151,7 @@ def test_the_guards_tube_goes_with_a_correction() -> None:
 
 def test_what_the_arm_cannot_follow_is_told() -> None:
     policy = _Rewarded()
-    was = along(played(shelf(), policy, LIMIT))
+    was = along(played(shelf(), policy, LIMIT), STILL)
     # Into the side wall of the shelf.
     wall = was.path[[len(was.path) // 2]] + np.array([[0.15, -0.02, -0.06]])
     with pytest.raises(WorkFailedError, match="the path must reach the goal, found collision"):
@@ -185,7 +196,7 @@ def test_the_command_says_what_it_needs(capsys: pytest.CaptureFixture[str]) -> N
 
 def test_a_pose_beside_an_unmoved_place_gets_the_policys_own_action() -> None:
     policy = _Rewarded()
-    path = along(played(shelf(), policy, LIMIT))
+    path = along(played(shelf(), policy, LIMIT), STILL)
     bend = path.through(path.path[[len(path.path) // 2]] + np.array([[0.0, 0.0, 0.03]]))
     poses = np.tile(shelf().task.nominal_start, (5, 1))
     poses[:, pose.POSITION] += np.random.default_rng(0).normal(scale=0.002, size=(5, 3))
@@ -193,7 +204,7 @@ def test_a_pose_beside_an_unmoved_place_gets_the_policys_own_action() -> None:
 
 
 def test_beside_a_moved_path_every_action_comes_forward_and_none_circles() -> None:
-    rng, was = np.random.default_rng(0), along(played(shelf(), _Rewarded(), LIMIT))
+    rng, was = np.random.default_rng(0), along(played(shelf(), _Rewarded(), LIMIT), STILL)
     bend = was.through(_lifted(was))
     moved = bend.bent[np.linalg.norm(bend.offsets, axis=1) > 1e-3]
     poses = np.tile(shelf().task.nominal_start, (200, 1))

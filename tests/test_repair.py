@@ -79,6 +79,20 @@ def test_what_was_withdrawn_is_not_edited(tmp_path: Path) -> None:
         change(path, 0, "wrong")
 
 
+def test_a_skip_before_an_undo_is_not_answered_later(tmp_path: Path) -> None:
+    path = tmp_path / "feedback.jsonl"
+    skip, no = Answer(None, "anna"), Answer(False, "anna")
+    written(path, [no, skip, Answer(False, "anna", undo=1), skip])
+    with pytest.raises(BadInputError, match="skipped question before an answer was withdrawn, found 1"):
+        change(path, 1, "wrong")
+    change(path, 3, "wrong")
+    assert read_records(path).items[3].line.right is False
+    other = tmp_path / "bert.jsonl"
+    written(other, [Answer(False, "bert"), Answer(True, "bert"), Answer(False, "bert")])
+    repair.merge([path, other], tmp_path / "merged.jsonl")
+    assert read_records(tmp_path / "merged.jsonl").items[1].line.right is None
+
+
 def test_dropping_what_is_later_asks_it_anew(tmp_path: Path) -> None:
     path = tmp_path / "feedback.jsonl"
     yes = Answer(True, "anna")

@@ -67,7 +67,7 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
         if told is None:
             raise
         raise told from error
-    return pipeline.with_task(config, Path(), keep=False)
+    return pipeline.with_task(config, None, keep=False)
 
 
 def open_workcell(config: Configuration) -> Workcell:
@@ -196,6 +196,7 @@ def environment_parts(
     from koopdqn.rl.around import answering
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.starts import StartSampler
+    from koopdqn.tasks.moved_goals import trained_in
 
     if config.oracle.ask != "at_once":
         raise BadInputError(f"oracle.ask: must be at_once in an environment, found {config.oracle.ask}")
@@ -205,7 +206,8 @@ def environment_parts(
     limit = int(config.train.step_limit_factor * max(len(rows) for rows in shown))
     starts = None
     if exploring_starts:
-        starts = StartSampler(workcell, reward.model.start_frame, reward.model.placed(shown), limit, config.agent)
+        known = trained_in(workcell)
+        starts = StartSampler(known, reward.model.start_frame, reward.model.placed(shown), limit, config.agent)
     return EnvironmentParts(
         workcell,
         reward,

@@ -16,6 +16,7 @@ from koopdqn.rl.network import observe
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
 from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.moved_goals import draw_starts, trained_in
 from koopdqn.tasks.rollout import SUCCESS, roll_out
 from koopdqn.tasks.twists import twist_size
 from koopdqn.tasks.workcell import Workcell
@@ -72,12 +73,12 @@ class EnvironmentParts:
         Raises:
             BadInputError: hardly any start of the region can be taken.
         """
-        task, reachability = self.workcell.task, self.workcell.reachability
-        begun, joints, _ = reachability.draw_starts(task, np.random.default_rng(seed), episodes)
-        frame = self.reward.model.start_frame
+        task, frame = self.workcell.task, self.reward.model.start_frame
+        drawn = draw_starts(self.workcell, task, np.random.default_rng(seed), episodes)
         made = roll_out(
             lambda poses, starts: np.asarray(choose(observe(frame.to_frame(poses, starts), task))),
-            *(task, reachability, begun, joints, self.step_limit),
+            *(task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit),
+            moved=drawn.moved,
         )
         return float(np.mean([episode.outcome == SUCCESS for episode in made]))
 
@@ -106,7 +107,7 @@ class Batch:
 
     def __init__(self, parts: EnvironmentParts, count: int, rng: np.random.Generator) -> None:
         """Begin ``count`` episodes, their starts drawn from ``rng``; no answer is known."""
-        workcell, reward = parts.workcell, parts.reward
+        workcell, reward = trained_in(parts.workcell), parts.reward
         self._task = workcell.task
         self._frame = reward.model.start_frame
         self._tries = np.zeros(count, dtype=np.int64)

@@ -17,6 +17,7 @@ from koopdqn.pose import Array
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Name, Settings, Vector3
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.workcell import Workcell
 
 # A point of the path that is moved by less [m] is not corrected.
@@ -106,9 +107,22 @@ def played(workcell: Workcell, policy: Controller, limit: int) -> Episode:
     return episode
 
 
-def along(episode: Episode) -> Bend:
-    """Return the bend of an episode's path, its stairs smoothed, that moves nothing."""
-    return Bend.none(without_stairs(episode.poses[:, pose.POSITION]))
+def along(episode: Episode, frame: StartFrame) -> Bend:
+    """Return the bend of an episode's path, its stairs smoothed, that moves nothing, in the start frame."""
+    local = frame.to_frame(episode.poses, episode.poses[:1])
+    return Bend.none(without_stairs(local[:, pose.POSITION]))
+
+
+def in_frame(positions: Array, start: Array, frame: StartFrame) -> Array:
+    """Return positions (N, 3) [m] of a path from a start (7,), in the start frame."""
+    poses = pose.make(positions, start[pose.QUATERNION])
+    return np.asarray(frame.to_frame(poses, start[None])[:, pose.POSITION])
+
+
+def in_base(local: Array, start: Array, frame: StartFrame) -> Array:
+    """Return the inverse of :func:`in_frame`."""
+    poses = pose.make(local, start[pose.QUATERNION])
+    return np.asarray(frame.from_frame(poses, start[None], poses)[:, pose.POSITION])
 
 
 @dataclass(frozen=True)
@@ -132,8 +146,11 @@ class Followed:
     missed: Array
 
     @classmethod
-    def of(cls, old: Episode, new: Episode, was: Bend, now: Bend, waypoints: Array) -> "Followed":
-        """Compare the episodes before and after a correction from one bend to another through waypoints (W, 3)."""
+    def of(cls, old: Episode, new: Episode, was: Bend, now: Bend, waypoints: Array, frame: StartFrame) -> "Followed":
+        """Compare the episodes before and after a correction from one bend to another through waypoints (W, 3).
+
+        The bends are in the start frame, waypoints in the base.
+        """
         from scipy.spatial import KDTree
 
         moved = pose.norm(now.offsets - was.offsets)
@@ -142,7 +159,7 @@ class Followed:
             raise BadInputError("waypoints: must lie beside the learned path, found all of them on it")
         first, last = int(corrected[0]), int(corrected[-1])
         here = new.poses[:, pose.POSITION]
-        off, place = KDTree(now.bent).query(here)
+        off, place = KDTree(now.bent).query(frame.to_frame(new.poses, new.poses[:1])[:, pose.POSITION])
         away = _from_polyline(here, old.poses[:, pose.POSITION])
         return cls(
             arc_lengths(was.bent)[[first, last]],

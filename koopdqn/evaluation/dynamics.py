@@ -83,11 +83,13 @@ def play(
     first = len(made)
     data = scene.data
     data.qpos[scene.joint_index] = joints[0]
+    # Where motors are said to compensate gravity, MuJoCo counts that among what they do.
+    beside = scene.model.jnt_actgravcomp[scene.model.dof_jntid] == 0
     for index in range(len(led) - 1):
         data.ctrl[scene.actuator_index] = led[index]
         mujoco.mj_step(scene.model, data)
         made[index], speeds[index] = data.qpos[scene.joint_index], data.qvel[scene.velocity_index]
-        torques[index] = (data.qfrc_actuator + data.qfrc_gravcomp)[scene.velocity_index]
+        torques[index] = (data.qfrc_actuator + beside * data.qfrc_gravcomp)[scene.velocity_index]
         if contact := scene.current_contact():
             touched.append(contact)
             first = min(first, index)

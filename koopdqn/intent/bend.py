@@ -52,8 +52,10 @@ class Bend:
         path = SmoothPath.along(positions).points
         return cls(path, np.zeros_like(path))
 
-    def through(self, waypoints: Array) -> "Bend":
+    def through(self, waypoints: Array, told: Array | None = None) -> "Bend":
         """Return the bend with its moved path led through waypoints (W, 3) [m], and back where they end.
+
+        Messages tell them as they are, or as they were ``told`` (W, 3) in another frame.
 
         Each waypoint moves the point of the path nearest to it. The way to the first and from the last one begins and
         ends 1.5 times as far along the path as that waypoint is aside. Before and behind nothing moves.
@@ -71,10 +73,10 @@ class Bend:
                 f"waypoints: must lie within {_FARTHEST_M:g} m of the learned path, found one {apart.max():.3f} m away"
             )
         if (np.diff(arc[place]) <= 0.0).any():
-            row = int((np.diff(arc[place]) <= 0.0).argmax())
+            row, said = int((np.diff(arc[place]) <= 0.0).argmax()), waypoints if told is None else told
             raise BadInputError(
                 "waypoints: must be in the order in which the path passes them, found"
-                f" {_shown(waypoints[row])} m before {_shown(waypoints[row + 1])} m"
+                f" {_shown(said[row])} m before {_shown(said[row + 1])} m"
             )
         first, last = (arc[place[i]] + sign * max(_LEAST_WAY_M, _WAY * apart[i]) for i, sign in ((0, -1.0), (-1, 1.0)))
         first, last = max(first, arc[1]), min(last, arc[-2])

@@ -137,7 +137,8 @@ class _Grid:
     @classmethod
     def along(cls, workcell: Workcell, model: IntentModel, starts: Array) -> "_Grid":
         task, arm = workcell.task, workcell.arm
-        path = model.intended_paths(task.nominal_start[None], _LONGEST, task.step_m)[:, 0]
+        begun = task.nominal_start[None]
+        path = model.start_frame.to_frame(model.intended_paths(begun, _LONGEST, task.step_m)[:, 0], begun)
         length = float(arc_lengths(path[:, pose.POSITION])[-1])
         poses = to_count(path, max(3, round(length / _LAYER_M) + 1))
         tangents = np.gradient(poses[:, pose.POSITION], axis=0)

@@ -107,6 +107,11 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     if records.items[number].withdrawn and not drop_later:
         raise BadInputError(f"number: must be that of an answer that stands, found {number}, which was withdrawn")
     line = records.items[number].line
+    if _passed_by_undo(records, number) and not drop_later:
+        raise BadInputError(
+            f"number: must not be that of a skipped question before an answer was withdrawn, found {number}: what was"
+            " withdrawn would be another; --drop-later takes back all that follows"
+        )
     # With Table 1's ten actions there is no suggestion to ask about; with continuous ones it is asked about first.
     continuous = any(SUGGESTED in (each.line.action, each.line.better) for each in records.items)
     right, better = parse_answer(text, line.action, continuous=continuous)
@@ -116,6 +121,11 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
         if drop_later:
             file.append(DropLine(kind="drop", number=number))
     return read_records(path).items[number]
+
+
+def _passed_by_undo(records: Records, number: int) -> bool:
+    """Return whether an answer was withdrawn after a question was skipped: it would count if it were answered."""
+    return records.items[number].line.right is None and any(item.undo for item in records.items[number + 1 :])
 
 
 @dataclass(frozen=True)
@@ -144,7 +154,11 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
         raise BadInputError(f"--out: must name a new file, found one: {out}")
     first, *others = [read_records(path) for path in paths]
     found, left_out = _opinions(first, others)
-    edits = [edit for number, said in found.items() if (edit := _by_majority(first.items[number], said)) is not None]
+    edits = [
+        edit
+        for number, said in found.items()
+        if not _passed_by_undo(first, number) and (edit := _by_majority(first.items[number], said)) is not None
+    ]
     with atomic_path(out) as temporary:
         shutil.copyfile(paths[0], temporary)
         with closing(JournalFile(temporary)) as file:

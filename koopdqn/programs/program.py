@@ -85,7 +85,7 @@ def make_program(
     for share in _SMOOTHING:
         smooth = smoothed(learned, share * settings.tolerance_m, share * settings.tolerance_rad)
         try:
-            return _checked(workcell, learned, smooth, joints, limits, settings, placement)
+            return _checked(workcell, learned, smooth, joints, limits, settings, placement, guard)
         except WorkFailedError as error:
             refused = refused or error
     assert refused is not None
@@ -100,12 +100,15 @@ def _checked(
     limits: Limits,
     settings: ProgramSettings,
     placement: Placement | None,
+    guard: Guard | None,
 ) -> Program:
     """Return the program along a smoothed path (T, 7); WorkFailedError unless it keeps all it must."""
     arm, task = workcell.arm, workcell.task
     followed = _followed(workcell, smooth, joints)
     motion = timed(followed, arm.forward, limits, settings.period_s)
     check_free(workcell, motion)
+    if guard is not None:
+        check_clear(guard, motion)
     check_rule(task, motion, placement)
     execution = check_dynamics(workcell, motion, settings)
     return Program(task.name, arm, motion, limits, learned, smooth, followed, execution)
@@ -196,6 +199,13 @@ def check_free(workcell: Workcell, motion: Motion) -> None:
             )
         if contact := workcell.scene.contact(joints):
             raise WorkFailedError(f"nothing may touch, found {contact} after {time:.3f} s at {_place(place)}")
+
+
+def check_clear(guard: Guard, motion: Motion) -> None:
+    """Raise WorkFailedError at a sample that is nearer to what stands around than a guard allows."""
+    for row in range(1, len(motion.joints)):
+        if near := guard.too_near(motion.joints[row], motion.joints[row - 1]):
+            raise WorkFailedError(f"{near} after {motion.times[row]:.3f} s at {_place(motion.poses[row])}")
 
 
 def check_rule(task: Task, motion: Motion, placement: Placement | None) -> None:

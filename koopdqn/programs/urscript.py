@@ -22,13 +22,17 @@ _OFF_RAD: Final = 0.001
 
 
 def write_servoj(path: Path, program: Program) -> None:
-    """Write ``movej`` to the first sample and one ``servoj`` a sample, joint angles in radians."""
-    period = program.motion.period
+    """Write ``movej`` to the first sample and one ``servoj`` a sample, joint angles in radians.
+
+    The last is repeated for the time by which the arm follows behind, so that it is reached before the arm is stopped.
+    """
+    period, joints = program.motion.period, program.motion.joints
+    held = np.repeat(joints[-1:], int(np.ceil(LOOKAHEAD_S / period)), axis=0)
     lines = [
-        f"movej({_list(program.motion.joints[0])}, {_TO_START})",
+        f"movej({_list(joints[0])}, {_TO_START})",
         *(
-            f"servoj({_list(joints)}, t={period:g}, lookahead_time={LOOKAHEAD_S:g}, gain={GAIN})"
-            for joints in program.motion.joints[1:]
+            f"servoj({_list(row)}, t={period:g}, lookahead_time={LOOKAHEAD_S:g}, gain={GAIN})"
+            for row in np.concatenate([joints[1:], held])
         ),
         f"stopj({_STOP:g})",
     ]

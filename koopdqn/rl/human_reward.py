@@ -161,7 +161,7 @@ class Feedback:
     def _asked(self, question: Question, evaluation: ActionEvaluation, row: int) -> tuple[int, Outcome]:
         left = None if self._budget.most is None else self._budget.most - self.questions
         number = self.questions
-        answer = self._oracle.answer(replace(question, left=left))
+        answer = self._oracle.answer(replace(question, number=number, left=left))
         self.questions += 1
         reopened = self._withdraw(answer.undo) if answer.undo else []
         if answer.better is not None:

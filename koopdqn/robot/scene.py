@@ -176,7 +176,9 @@ class Scene:
         self.arm = arm
         self.joint_index = np.array([model.joint(prefix + name).qposadr[0] for name in arm.joint_names])
         self.velocity_index = np.array([model.joint(prefix + name).dofadr[0] for name in arm.joint_names])
-        driven = model.actuator_trnid[:, 0].tolist()
+        # A tendon or a site may have a joint's number.
+        on_joint = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        driven = np.where(on_joint, model.actuator_trnid[:, 0], -1).tolist()
         self.actuator_index = np.array([driven.index(model.joint(prefix + name).id) for name in arm.joint_names])
         self._qpos = self.data.qpos
         first, last = int(self.joint_index[0]), int(self.joint_index[-1])

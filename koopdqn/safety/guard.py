@@ -119,7 +119,7 @@ class Guard:
                 motions[row] = Motion(None, RULE_BROKEN, f"must hold: {self.workcell.task.rule}")
             elif too_far[row]:
                 motions[row] = Motion(None, TUBE, too_far[row])
-            elif near := self._too_near(motion.joints, joints[row]):
+            elif near := self.too_near(motion.joints, joints[row]):
                 motions[row] = Motion(None, COLLISION, near)
         return motions
 
@@ -135,7 +135,8 @@ class Guard:
             return f"the flange must move at most {settings.tool_speed_m_s:g} m/s, found {speed:.3g} m/s"
         return ""
 
-    def _too_near(self, joints: Array, before: Array) -> str:
+    def too_near(self, joints: Array, before: Array) -> str:
+        """Return why the arm would be too near to what stands around at joint angles (6,) [rad] after others (6,)."""
         least, scene = self.settings.clearance_m, self.workcell.scene
         room = min(scene.rooms(joints, least)) if least else 0.0
         if room >= least or room >= min(scene.rooms(before, least)):

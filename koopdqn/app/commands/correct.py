@@ -19,7 +19,7 @@ from koopdqn.app.correcting.screen import CorrectingScreen, check_keyboard
 from koopdqn.app.correcting.showing import Showing
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.correction import CorrectionFile, Followed, along, played
+from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
 from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
 from koopdqn.pose import Array
@@ -51,12 +51,15 @@ class _Learned:
         limit, workcell = step_limit_of(source / REPORT), pipeline.open_scene(config)
         controller = policy if policy.bend is None else PolicyAround(policy, policy.bend)
         episode = played(workcell, controller, limit)
-        return cls(policy, workcell, limit, episode, along(episode) if policy.bend is None else policy.bend)
+        return cls(
+            policy, workcell, limit, episode, along(episode, policy.frame) if policy.bend is None else policy.bend
+        )
 
     def corrected(self, waypoints: Array) -> "_Corrected":
-        began, now = monotonic(), self.bend.through(waypoints)
+        began, start = monotonic(), self.workcell.task.nominal_start
+        now = self.bend.through(in_frame(waypoints, start, self.policy.frame), waypoints)
         new = played(self.workcell, PolicyAround(replace(self.policy, bend=now), now), self.limit)
-        found = Followed.of(self.episode, new, self.bend, now, waypoints)
+        found = Followed.of(self.episode, new, self.bend, now, waypoints, self.policy.frame)
         return _Corrected(waypoints, now, found, monotonic() - began)
 
 
@@ -127,7 +130,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
 def _shown(learned: _Learned, source: Path, folder: Path) -> _Corrected:
     """Return the correction by the waypoints that a person shows, which are kept however it ends."""
-    showing = Showing(learned.episode, learned.bend, learned.workcell, folder / SHOWN)
+    showing = Showing(learned.episode, learned.bend, learned.policy.frame, learned.workcell, folder / SHOWN)
     made = None
     try:
         screen = CorrectingScreen(showing, learned.workcell.task.name, console.shown_path(folder), learned.corrected)

@@ -40,13 +40,13 @@ INTENT = "intent.npz"
 POLICY = "policy.safetensors"
 
 
-def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configuration:
+def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Configuration:
     """Return the config with its task made from demonstrations if the option is a recipe; tell what was found.
 
     Args:
         config: the config.
         folder: whose ``demos.hdf5`` holds the demonstrations as they were read, and moved if that was asked for, the
-            ones kept for evaluation marked.
+            ones kept for evaluation marked; None for no folder.
         keep: whether to write that file if there is none.
 
     Raises:
@@ -56,8 +56,8 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
     recipe = config.chosen
     if not isinstance(recipe, Derivation):
         return config
-    kept = folder / DEMONSTRATIONS
-    sources = config.inputs.demos or ((str(kept),) if kept.exists() else ())
+    kept = None if folder is None else folder / DEMONSTRATIONS
+    sources = config.inputs.demos or ((str(kept),) if kept is not None and kept.exists() else ())
     if not sources:
         raise BadInputError(
             f"demos: must name the files that task {recipe.name} is made from (one, several in brackets, or a glob)"
@@ -70,11 +70,12 @@ def with_task(config: Configuration, folder: Path, *, keep: bool) -> Configurati
         read, derived = _placed(config, recipe, read, derived)
     if read.placement is not None:
         console.note(f"task {recipe.name}: demonstrations {read.placement}")
-    _check_kept(kept, read, sources)
+    if kept is not None:
+        _check_kept(kept, read, sources)
     for line in derived.notes:
         console.note(f"task {recipe.name}: {line}")
     _check_followed(config, derived.task)
-    if keep and not kept.exists():
+    if keep and kept is not None and not kept.exists():
         write_hdf5(kept, read)
     return replace(config, derived=derived)
 

@@ -9,12 +9,13 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.app.recording.recorder import AXES, Reply
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.correction import MOST_WAYPOINTS, write_waypoints
+from koopdqn.evaluation.correction import MOST_WAYPOINTS, in_base, in_frame, write_waypoints
 from koopdqn.evaluation.metrics import without_stairs
 from koopdqn.intent.bend import Bend
 from koopdqn.paths import arc_lengths, at_arc_lengths
 from koopdqn.pose import Array
 from koopdqn.tasks.rollout import Episode
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.workcell import Workcell
 
 PLAY: Final = " "
@@ -44,12 +45,16 @@ class Showing:
         place: how far along the path the tool is [m].
         offset: (3,) [m] by which the waypoint under way lies beside the path.
         added: the waypoints (3,) [m], in the order in which they were added.
+        path: (P, 3) [m] the learned path.
         arc: (P,) [m] how far along the path each of its points is.
         loose: whether the waypoint under way is beside the path and not added.
     """
 
-    def __init__(self, episode: Episode, bend: Bend, workcell: Workcell, file: Path) -> None:
-        """Begin at the start of an episode's path, of this bend; ``file`` takes the waypoints, x,y,z a line."""
+    def __init__(self, episode: Episode, bend: Bend, frame: StartFrame, workcell: Workcell, file: Path) -> None:
+        """Begin at the start of an episode's path, of this bend in the start frame.
+
+        ``file`` takes the waypoints, x,y,z a line, in the base.
+        """
         self.file = file
         self.playing = True
         self.place = 0.0
@@ -60,14 +65,11 @@ class Showing:
         self._episode = episode
         self._bend = bend
         self._workcell = workcell
-        self.arc = arc_lengths(bend.bent)
+        self._frame = frame
+        self.path = self._seen(bend.bent)
+        self.arc = arc_lengths(self.path)
         passed = arc_lengths(without_stairs(episode.poses[:, pose.POSITION]))
         self._passed = passed * self.length / passed[-1]
-
-    @property
-    def path(self) -> Array:
-        """The learned path (P, 3) [m]."""
-        return self._bend.bent
 
     @property
     def length(self) -> float:
@@ -105,8 +107,16 @@ class Showing:
         """The path (P, 3) [m] as the waypoints lead it, the one under way among them; None where they move nothing."""
         for points in ([*self.added, self.waypoint] if self.loose else self.added, self.added):
             with suppress(BadInputError):
-                return self._bend.through(self._in_order(points)).bent if points else None
+                return self._seen(self._through(points).bent) if points else None
         return None
+
+    def _through(self, points: list[Array]) -> Bend:
+        ordered = self._in_order(points)
+        return self._bend.through(in_frame(ordered, self._workcell.task.nominal_start, self._frame), ordered)
+
+    def _seen(self, local: Array) -> Array:
+        """Return positions (N, 3) [m] of the start frame in the base."""
+        return in_base(local, self._workcell.task.nominal_start, self._frame)
 
     def standing(self) -> str:
         """Return how the arm would stand at the waypoint under way, or why it cannot."""
@@ -176,7 +186,7 @@ class Showing:
         if len(self.added) == MOST_WAYPOINTS:
             return Reply(f"Refused: there may be {MOST_WAYPOINTS} waypoints", changed=False)
         try:
-            self._bend.through(self._in_order([*self.added, self.waypoint]))
+            self._through([*self.added, self.waypoint])
         except BadInputError as error:
             return Reply(f"Refused: {error}", changed=False)
         self.added.append(self.waypoint)
