@@ -81,7 +81,7 @@ def _tool(values: Array) -> Array | None:
     return pose.make(values[0, :3], pose.from_rotation_vector(values[0, 3:]))
 
 
-def rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
+def _rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
     """Return the rows that hold each text of a column, both in the order in which they appear."""
     numbered = {text: number for number, text in enumerate(dict.fromkeys(column))}
     label = np.array([numbered[text] for text in column])
@@ -92,7 +92,7 @@ def rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
 
 def _apart(whole: Recording, texts: Sequence[str]) -> list[Recording]:
     """Return the rows of each text, in the order in which the texts first appear."""
-    return [part_of(whole, rows, f"demo {text}") for text, rows in rows_by_text(texts).items()]
+    return [part_of(whole, rows, f"demo {text}") for text, rows in _rows_by_text(texts).items()]
 
 
 def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
