@@ -39,7 +39,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.tasks.rollout import SUCCESS, Controller, follow, roll_out
-from koopdqn.tasks.task import TURNS_PER_STEP
+from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:

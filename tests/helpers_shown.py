@@ -37,6 +37,14 @@ def arc(offset: float = 0.0, count: int = 200) -> Array:
     return pose.make(np.stack([np.full(count, 0.45), 0.2 * np.sin(angle) - 0.1, height], axis=1), HORIZONTAL)
 
 
+def tipping(offset: float = 0.0) -> Array:
+    """Return an arc, begun ``offset`` [m] higher, along which the tool tips by 40 degrees and back again."""
+    poses = arc(offset)
+    tip = np.radians(40) * np.sin(np.linspace(0.0, np.pi, len(poses))) ** 2
+    poses[:, 3:] = pose.multiply(HORIZONTAL, pose.from_rotation_vector(tip[:, None] * [0.0, 1.0, 0.0]))
+    return poses
+
+
 def recorded(poses: Array, *, idle: int = 0, noise: float = 0.0, seed: int = 0) -> Demonstration:
     """Return poses (N, 7) as a recording, with idle samples at both ends and noise [m] on every position."""
     rng = np.random.default_rng(seed)

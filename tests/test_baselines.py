@@ -10,7 +10,7 @@ from koopdqn.evaluation.baselines import Greedy, replay_path, straight_path
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses
 from koopdqn.tasks.rollout import SUCCESS, follow, roll_out
-from koopdqn.tasks.task import TURNS_PER_STEP
+from koopdqn.tasks.step import TURNS_PER_STEP
 
 
 @st.composite

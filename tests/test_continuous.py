@@ -10,13 +10,16 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from helpers_shown import recorded, shown, tipping
 from helpers_training import assert_same_run, untrusting
 from parts import Clerk, Parts
 from stable_baselines3.common.env_checker import check_env as check_for_stable_baselines
 
 import koopdqn.gym  # noqa: F401  (registers the environments)
+from koopdqn import pose
 from koopdqn.app import api
 from koopdqn.artifact import described
+from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.envs.dm import KoopmanEnvironment
 from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv
@@ -304,3 +307,20 @@ def test_every_face_gives_the_same(env_parts: EnvironmentParts) -> None:
     assert moved == pytest.approx(env_parts.workcell.task.step_m if step.reward >= 0 else 0.0, abs=1e-9)
     with pytest.raises(ValueError, match="action must be finite"):
         environment.step(np.array([np.nan, 0, 0]))
+
+
+@pytest.mark.slow
+def test_a_tool_that_tips_and_turns_back_is_learned(tmp_path: Path) -> None:
+    file = tmp_path / "tipping.hdf5"
+    write_hdf5(file, shown(*(recorded(tipping(offset)) for offset in (0.0, 0.01, 0.02))))
+    config = api.load_config("task=demonstrated", f"demos={file}", "task.holdout=0", "actions=continuous")
+    assert config.derived is not None
+    demonstrations = config.derived.training
+    trained = api.train(config, demonstrations, api.fit(config, demonstrations))
+    assert trained.learned
+    cell = api.open_workcell(config)
+    starts, joints, _ = cell.reachability.draw_starts(config.task, np.random.default_rng(5), 50)
+    episodes = roll_out(trained.policy, config.task, cell.reachability, starts, joints, trained.step_limit)
+    assert np.mean([episode.outcome == SUCCESS for episode in episodes]) >= 0.95
+    tipped = [np.degrees(pose.rotation_distance(each.poses, config.task.goal).max()) for each in episodes]
+    np.testing.assert_allclose(tipped, 40, atol=5)

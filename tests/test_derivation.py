@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown
+from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown, tipping
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parts import load_parts
+from parts import Parts, load_parts
 
 from koopdqn import pose
 from koopdqn.artifact import described
@@ -86,9 +86,36 @@ def test_orientation_is_told_apart() -> None:
     turnings = {name: task.turning for name, task in found.items()}
     assert turnings == {"held": "held", "geodesic": "geodesic", "wobbling": "geodesic"}
     assert found["geodesic"].orientation == "learned"
+    in_full = {name: RECIPE.derive(shown(recorded(poses)), continuous=True).task for name, poses in shapes.items()}
+    assert {name: task.turning for name, task in in_full.items()} == {
+        "held": "held",
+        "geodesic": "full",
+        "wobbling": "full",
+    }
+    assert in_full["wobbling"].orientation == "learned"
     free = RECIPE.model_copy(update={"turning": "free"}).derive(shown(recorded(wobble))).task
     assert free.orientation == "held"
     assert not free.rule_broken(wobble).any()
+
+
+def test_ten_actions_do_not_turn_in_full() -> None:
+    recipe = RECIPE.model_copy(update={"turning": "full"})
+    with pytest.raises(BadInputError, match="full must go with actions=continuous, found the ten actions"):
+        recipe.derive(shown(recorded(turned_by(arc(), 1.5))))
+    to_goal = RECIPE.model_copy(update={"turning": "geodesic"})
+    assert to_goal.derive(shown(recorded(turned_by(arc(), 1.5))), continuous=True).task.turning == "geodesic"
+
+
+def test_what_tips_and_turns_back_is_done_by_the_person_and_foretold_in_full(parts: Parts) -> None:
+    derived = RECIPE.model_copy(update={"holdout": 0}).derive(shown(recorded(tipping())), continuous=True)
+    task = derived.task
+    model = parts.intent.fit(task.person_frame.each(task.trajectories), task)
+    model = parts.intent.restore(model.arrays())
+    begun = task.trajectories[0][:1]
+    for path in (task.demonstrator.roll_out(begun[0], 800), model.intended_paths(begun, 800, task.step_m)[:, 0]):
+        assert np.degrees(pose.rotation_distance(path, task.goal).max()) == pytest.approx(40, abs=3)
+        assert np.degrees(pose.rotation_distance(path[-1], task.goal)) < 1
+        assert pose.position_distance(path[-1], task.goal) < 0.001
 
 
 def test_the_turn_of_the_knife_is_learned_from_its_demonstrations() -> None:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.step import one_step
+from koopdqn.tasks.step import IN_PLACE, TURNS_PER_STEP, full_step, one_step
 
 STEP, TURN = 0.0021, 0.02
 AROUND = np.array([0.0, 1.0, 0.0])
@@ -139,3 +139,37 @@ def test_each_row_is_stepped_by_itself() -> None:
     together = one_step(here, wished, GOAL, STEP, TURN)
     for row in range(2):
         np.testing.assert_allclose(together[row], stepped(here[row], wished[row], GOAL), atol=1e-15)
+
+
+LARGEST = TURN * TURNS_PER_STEP / IN_PLACE
+
+
+def stepped_in_full(here: Array, wished: Array, goal: Array = GOAL) -> Array:
+    return np.asarray(full_step(here[None], wished[None], goal, STEP, TURN)[0])
+
+
+@given(here=poses, move=small, turn=turns)
+def test_a_full_step_turns_about_any_axis_as_far_as_it_moves(here: Array, move: Array, turn: Array) -> None:
+    length, angle = float(np.linalg.norm(move)), float(np.linalg.norm(turn))
+    assume(length > 1e-6)
+    wished = beside(here, move, turn)
+    after = stepped_in_full(here, wished, beside(here, np.array([1.0, 0.0, 0.0]), turn))
+    share = min(1.0, LARGEST / max(angle, 1e-12))
+    np.testing.assert_allclose(after[:3] - here[:3], share * STEP / length * move, atol=1e-9)
+    assert pose.rotation_distance(after, here) == pytest.approx(share * angle, abs=1e-6)
+    assert pose.rotation_distance(after, wished) == pytest.approx((1.0 - share) * angle, abs=1e-6)
+
+
+def test_a_full_step_at_the_goal_turns_in_place_and_stays() -> None:
+    here = beside(GOAL, np.zeros(3), np.array([0.2, 0.0, 0.0]))
+    after = stepped_in_full(here, GOAL)
+    np.testing.assert_allclose(after[:3], GOAL[:3], atol=1e-12)
+    assert pose.rotation_distance(after, GOAL) == pytest.approx(0.2 - LARGEST, rel=1e-6)
+    np.testing.assert_allclose(stepped_in_full(GOAL, at(0.4, 0.6)), GOAL, atol=1e-12)
+
+
+def test_each_row_is_stepped_in_full_by_itself() -> None:
+    here, wished = np.array([at(), at(0.1, 0.2)]), np.array([wishing(2.0, -0.1), at(0.1, -0.4)])
+    together = full_step(here, wished, GOAL, STEP, TURN)
+    for row in range(2):
+        np.testing.assert_allclose(together[row], stepped_in_full(here[row], wished[row]), atol=1e-15)

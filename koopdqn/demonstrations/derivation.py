@@ -21,7 +21,8 @@ from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
 from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.task import TURNS_PER_STEP, TaskChoice, check_goal_moves_alone
+from koopdqn.tasks.step import TURNS_PER_STEP
+from koopdqn.tasks.task import TaskChoice, check_goal_moves_alone
 
 if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Reachability
@@ -86,12 +87,13 @@ class Derivation(TaskChoice):
         check_goal_moves_alone(self.goal_half_range_m, self.obstacles)
         return self
 
-    def derive(self, demonstrations: Demonstrations) -> Derived:
+    def derive(self, demonstrations: Demonstrations, *, continuous: bool = False) -> Derived:
         """Return the task of demonstrations.
 
         The last ``holdout`` of them are held out. The others are preprocessed: idle ends trimmed, noise smoothed, and
         bent to end at the goal, the mean of their ends (:mod:`koopdqn.demonstrations.preprocess`). The nominal start is
-        that of the demonstration nearest to all; starts are drawn beside all of theirs.
+        that of the demonstration nearest to all; starts are drawn beside all of theirs. What is turned is learned in
+        full where actions are ``continuous``.
 
         Raises:
             BadInputError: too many are held out, one does not move, the ends are too far apart, or a start is at the
@@ -104,7 +106,12 @@ class Derivation(TaskChoice):
         goal = preprocess.goal_of(learned)
         spread = preprocess.check_position(learned, goal, self.end_spread)
         shown = [item.poses for item in learned]
-        turning = self.turning or rotation_type_of(shown, goal, self.held_limit_rad)
+        turning = self.turning or rotation_type_of(shown, goal, self.held_limit_rad, continuous=continuous)
+        if turning == "full" and not continuous:
+            raise BadInputError(
+                "task.turning: full must go with actions=continuous, found the ten actions, which turn to the"
+                " goal alone"
+            )
         if turning != "free":
             preprocess.check_orientation(learned, goal, self.end_spread_rad)
         moved = [_oriented(preprocess.align_goal(item, goal), goal, turning) for item in learned]
@@ -175,7 +182,7 @@ class Derivation(TaskChoice):
 
 def _oriented(item: Demonstration, goal: Array, turning: RotationType) -> Demonstration:
     """Return a demonstration with the goal's orientation throughout, unless the turn is learned."""
-    if turning == "geodesic":
+    if turning in ("geodesic", "full"):
         return item
     return Demonstration(item.times, pose.make(item.poses[:, pose.POSITION], goal[pose.QUATERNION]))
 
@@ -225,6 +232,7 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
     meaning = {
         "held": "held, as demonstrated",
         "geodesic": "geodesic, the demonstrated turn to the goal is learned",
+        "full": "full, the demonstrated turn is learned about whatever axis",
         "free": "free, the goal's is kept and what was demonstrated left out",
     }
     steps = [len(trajectory) - 1 for trajectory in task.trajectories]

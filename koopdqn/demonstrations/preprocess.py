@@ -252,13 +252,18 @@ def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:
     )
 
 
-def rotation_type_of(trajectories: Sequence[Array], goal: Array, held_limit: float) -> RotationType:
+def rotation_type_of(
+    trajectories: Sequence[Array], goal: Array, held_limit: float, *, continuous: bool
+) -> RotationType:
     """Return the rotation type of pose trajectories (N, 7) to the goal (7,).
 
-    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Geodesic: all others. People turn a little
-    off the geodesic, but Table 1 can follow only the part of the turn toward the goal.
+    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Full: all others, where actions are
+    ``continuous``. Otherwise geodesic: people turn off the geodesic too, but Table 1 can follow only the part of the
+    turn toward the goal.
     """
-    return "held" if largest_turn_from(trajectories, goal) <= held_limit else "geodesic"
+    if largest_turn_from(trajectories, goal) <= held_limit:
+        return "held"
+    return "full" if continuous else "geodesic"
 
 
 def largest_turn_from(trajectories: Sequence[Array], goal: Array) -> float:

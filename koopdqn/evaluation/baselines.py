@@ -17,8 +17,8 @@ from koopdqn.pose import Array
 from koopdqn.tasks.actions import COUNT, nearest_actions
 from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out
-from koopdqn.tasks.step import IN_PLACE
-from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_next_poses
+from koopdqn.tasks.step import IN_PLACE, TURNS_PER_STEP
+from koopdqn.tasks.task import Task, demonstrator_next_poses
 from koopdqn.tasks.twists import twists_between
 from koopdqn.tasks.workcell import Workcell
 

@@ -21,7 +21,8 @@ from koopdqn.paths import arc_lengths, hausdorff, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
 from koopdqn.tasks.actions import reached_poses, within_tolerance
-from koopdqn.tasks.task import TURNS_PER_STEP, Task, demonstrator_next_poses
+from koopdqn.tasks.step import TURNS_PER_STEP
+from koopdqn.tasks.task import Task, demonstrator_next_poses
 
 _PAPER_SAMPLES = 60
 _PAPER_LARGEST_ERROR_M = 2.3e-3

@@ -20,7 +20,7 @@ from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
 from koopdqn.settings import Interval, Settings
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.tasks.step import IN_PLACE, one_step
+from koopdqn.tasks.step import IN_PLACE, full_step, one_step
 from koopdqn.tasks.task import Task, angles_in, quaternions_in
 
 # Position, and the entries of R − I.
@@ -82,9 +82,8 @@ class WholePoseSettings(IntentSettings):
         koopman = KoopmanModel(self._observables, np.zeros(12), 1.0, arrays["matrix"])
         spread, tolerance = float(arrays["spread"]), float(arrays["rotation_tolerance"])
         held = {name.removeprefix(_FRAME): each for name, each in arrays.items() if name.startswith(_FRAME)}
-        return WholePoseIntent(
-            koopman, spread, bool(arrays["held"]), tolerance, arrays["goal"], StartFrame.restore(held)
-        )
+        turns = bool(arrays["held"]), "in_full" in arrays
+        return WholePoseIntent(koopman, spread, *turns, tolerance, arrays["goal"], StartFrame.restore(held))
 
     @property
     def _observables(self) -> FeaturesOfPlace:
@@ -99,8 +98,8 @@ class WholePoseSettings(IntentSettings):
         return before, after, spread
 
     def _model(self, koopman: KoopmanModel, spread: float, task: Task) -> IntentModel:
-        held = task.orientation == "held"
-        return WholePoseIntent(koopman, spread, held, task.rotation_tolerance_rad, task.goal)
+        turns = task.orientation == "held", task.turns_in_full
+        return WholePoseIntent(koopman, spread, *turns, task.rotation_tolerance_rad, task.goal)
 
     def _pairs(self, trajectories: list[Array], spread: float, task: Task) -> tuple[Array, Array]:
         """Return states (M, 7) of the mean demonstration and around it, and their successors (M, 7).
@@ -135,6 +134,7 @@ class WholePoseIntent(IntentModel):
         koopman: the model of states (N, 12).
         spread: unit of positions [m].
         held: whether orientation is held in place of the prediction.
+        in_full: whether the predicted turn counts in full, and not its part toward the goal alone.
         rotation_tolerance: [rad].
         goal: the goal pose (7,).
         start_frame: in which it was fitted.
@@ -143,6 +143,7 @@ class WholePoseIntent(IntentModel):
     koopman: KoopmanModel
     spread: float
     held: bool
+    in_full: bool
     rotation_tolerance: float
     goal: Array
     start_frame: StartFrame = STILL
@@ -160,7 +161,8 @@ class WholePoseIntent(IntentModel):
         """Return predictions (N, 7) rescaled to one step of the agent [m], position and turn together."""
         if self.held:
             return super().to_step(poses, predicted, step)
-        return one_step(poses, predicted, self.goal, step, IN_PLACE * self.rotation_tolerance)
+        turn = IN_PLACE * self.rotation_tolerance
+        return (full_step if self.in_full else one_step)(poses, predicted, self.goal, step, turn)
 
     def within(self, frame: StartFrame) -> "WholePoseIntent":
         """Return the model with the frame in which it was fitted."""
@@ -179,6 +181,7 @@ class WholePoseIntent(IntentModel):
             "held": np.array(self.held),
             "rotation_tolerance": np.array(self.rotation_tolerance),
             "goal": self.goal,
+            **({"in_full": np.array(True)} if self.in_full else {}),
             **{f"{_FRAME}{name}": values for name, values in self.start_frame.arrays().items()},
         }
 

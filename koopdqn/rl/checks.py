@@ -12,7 +12,7 @@ from koopdqn.rl.history import Check
 from koopdqn.rl.settings import TrainSettings
 from koopdqn.tasks.moved_goals import draw_starts
 from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
-from koopdqn.tasks.task import TURNS_PER_STEP
+from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
 

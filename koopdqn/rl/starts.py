@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.pose import Array, turned_toward
+from koopdqn.pose import Array, from_rotation_vector, multiply, turned_toward
 from koopdqn.rl.settings import Agent
 from koopdqn.tasks.start_frame import StartFrame
+from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
 
 _MOST_DRAWS = 1000
@@ -90,9 +91,7 @@ class StartSampler:
             pose = trajectory[index].copy()
             pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
             if task.orientation == "learned":
-                # The turn may be ahead of the position or behind it.
-                ahead = rng.normal(scale=agent.exploring_spread_rad)
-                pose[3:] = turned_toward(pose[3:], task.goal[3:], ahead)
+                pose[3:] = _turned(pose[3:], task, agent.exploring_spread_rad, rng)
             start = task.draw_starts(rng, 1)[0]
             pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
             motion = reachability.enter(pose)
@@ -102,3 +101,10 @@ class StartSampler:
             f"task {task.name}: the arm must be able to begin along the demonstrations,"
             f" found {_MOST_DRAWS} draws in a row refused"
         )
+
+
+def _turned(quaternion: Array, task: Task, spread: float, rng: np.random.Generator) -> Array:
+    """Return a quaternion (4,) turned at random, by ``spread`` [rad]: ahead of the position, behind it, or aside."""
+    if task.turns_in_full:
+        return multiply(quaternion, from_rotation_vector(rng.normal(scale=spread, size=3)))
+    return turned_toward(quaternion, task.goal[3:], rng.normal(scale=spread))

@@ -18,7 +18,7 @@ from koopdqn.tasks.task import Task
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
 
-RotationType = Literal["held", "geodesic", "free"]
+RotationType = Literal["held", "geodesic", "full", "free"]
 """How a task made from demonstrations treats orientation."""
 
 # A start within this many goal tolerances of the goal is drawn again; a wide start region may contain the goal.
@@ -37,8 +37,9 @@ class DemonstratedTask(Task):
     goal_moves: ClassVar[bool] = True
 
     turning: RotationType = Field(
-        description="held: the goal's orientation all the way, as demonstrated; geodesic: the demonstrated turn is"
-        " learned; free: orientation was demonstrated but is no part of the task, and the goal's is kept"
+        description="held: the goal's orientation all the way, as demonstrated; geodesic: the part of"
+        " the demonstrated turn toward the goal is learned; full: all of it, which continuous actions can do; free:"
+        " orientation was demonstrated but is no part of the task, and the goal's is kept"
     )
     held_limit_rad: float = Field(gt=0, description="turn away from the goal that breaks the rule, where held [rad]")
     start_margin_m: float = Field(gt=0, description="how far a start lies from a demonstrated one, along each axis [m]")
@@ -79,8 +80,13 @@ class DemonstratedTask(Task):
 
     @property
     def orientation(self) -> Literal["held", "learned"]:
-        """Learned if the demonstrated turn is along the geodesic to the goal, otherwise held."""
-        return "learned" if self.turning == "geodesic" else "held"
+        """Learned if the demonstrated turn is, in part or in full; otherwise held."""
+        return "learned" if self.turning in ("geodesic", "full") else "held"
+
+    @property
+    def turns_in_full(self) -> bool:
+        """Whether the demonstrated turn is learned in full."""
+        return self.turning == "full"
 
     @property
     def rule(self) -> str:

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +13,7 @@ from koopdqn import pose
 from koopdqn.paths import SmoothPath, arc_lengths, row_products, to_count
 from koopdqn.pose import Array
 from koopdqn.settings import Name, Settings, load_settings
-from koopdqn.tasks.step import one_step
+from koopdqn.tasks.step import full_step, one_step
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -86,7 +86,7 @@ class Expert:
 
     The scripted oracle, agreement figures and reference paths come from it. It depends on the pose alone and knows
     nothing of the Koopman model. Each step goes straight toward the aim and turns as the path does one step ahead,
-    scaled to what the ten actions can do.
+    scaled to what the actions can do.
 
     Attributes:
         path: the path to follow; it ends at the goal.
@@ -94,6 +94,7 @@ class Expert:
         goal: pose (7,) at which it stops.
         step: distance of one step [m].
         turn: turn of one step in place [rad]; 0 where the goal's orientation is held.
+        in_full: whether it turns about any axis, as continuous actions can, and not to the goal alone.
     """
 
     path: ReferencePath
@@ -101,6 +102,7 @@ class Expert:
     goal: Array
     step: float
     turn: float
+    in_full: bool = field(default=False, kw_only=True)
 
     def next_pose(self, poses: Array, *, alone: bool = False) -> Array:
         """Return the poses (N, 7) one step after poses (N, 7).
@@ -115,7 +117,7 @@ class Expert:
         if not self.turn:
             return pose.make(moved, self.goal[pose.QUATERNION])
         wished = pose.make(moved, self.path.turned_at(arc + self.step))
-        return one_step(poses, wished, self.goal, self.step, self.turn)
+        return (full_step if self.in_full else one_step)(poses, wished, self.goal, self.step, self.turn)
 
     def roll_out(self, start: Array, limit: int) -> Array:
         """Return the poses (T, 7) from a start (7,) to the goal, at most ``limit`` steps."""

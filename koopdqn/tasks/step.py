@@ -1,4 +1,4 @@
-"""One step of the agent toward a wished pose, with motion and turn scaled to what the ten actions can do."""
+"""One step of the agent toward a wished pose, with motion and turn scaled to what its actions can do."""
 
 import numpy as np
 
@@ -7,6 +7,9 @@ from koopdqn.pose import Array
 
 IN_PLACE = 2.0
 """Rotation tolerances by which one action of Table 1 turns in place."""
+
+TURNS_PER_STEP = 5.0
+"""Rotation tolerances up to which one action matches a turn; a continuous one turns by as much."""
 
 # Shares of a turn in place: the turn that needs no action, and the most that an action toward the goal matches. A
 # little less than the tolerance allows (0.5 and 2.5), so that rounding makes no right action wrong.
@@ -47,6 +50,22 @@ def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float)
     moved = np.minimum(length / size, distance)
     position = poses[:, pose.POSITION] + moved[:, None] * direction
     return pose.make(position, pose.turned_toward(quaternion, toward, np.minimum(angle / size, left)))
+
+
+def full_step(poses: Array, wished: Array, goal: Array, step: float, turn: float) -> Array:
+    """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), turned as these are.
+
+    What a continuous action can do: the motion is a full step, at most up to the goal (7,), and the turn about any
+    axis. Where that is larger than an action's largest, both are shortened alike. Arguments as of :func:`one_step`.
+    """
+    quaternion = poses[:, pose.QUATERNION]
+    motion = wished[:, pose.POSITION] - poses[:, pose.POSITION]
+    direction = motion / np.maximum(pose.norm(motion), 1e-12)[:, None]
+    left = pose.rotation_distance(poses, wished)
+    share = 1.0 / np.maximum(left / (TURNS_PER_STEP / IN_PLACE * turn), 1.0)
+    moved = share * np.minimum(step, pose.position_distance(poses, goal))
+    turned = pose.turned_toward(quaternion, wished[:, pose.QUATERNION], share * left)
+    return pose.make(poses[:, pose.POSITION] + moved[:, None] * direction, turned)
 
 
 def _turn_between(quaternions: Array, others: Array) -> Array:

@@ -1,6 +1,7 @@
 """The interface of a task: its poses, its scene, its person and its rule."""
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
@@ -25,8 +26,6 @@ Waypoints = Annotated[tuple[Vector3, ...], Strict(False), Field(min_length=2)]
 # No direction is farther than 54.7° from the nearest axis, an error of 2 sin(54.7°/2) = 0.92 steps; so the step may
 # be at most 1/0.92 tolerances for some action to be right always.
 MAX_STEP_PER_TOLERANCE = 1.087
-# An action matches a turn of up to this many rotation tolerances in one step.
-TURNS_PER_STEP = 5.0
 _LEAST_CHORD_M = 1e-3
 # The paper's lift has no constant observable; a constant yaw [rad] serves as one.
 _CONSTANT_YAW = 1.0
@@ -119,6 +118,11 @@ class Task(TaskChoice):
     def orientation(self) -> Literal["held", "learned"]:
         """Whether orientation is held throughout or is part of what is learned."""
 
+    @property
+    def turns_in_full(self) -> bool:
+        """Whether turns about any axis are learned, as continuous actions make them, not those to the goal alone."""
+        return False
+
     @abstractmethod
     def furnish(self, scene: "SceneBuilder") -> None:
         """Add the task's tool, payload and furniture to a scene."""
@@ -207,7 +211,8 @@ class Task(TaskChoice):
     def expert(self, finer: int = 1) -> Expert:
         """Return the task's person as an expert, with steps ``finer`` times smaller than the agent's."""
         turn = IN_PLACE * self.rotation_tolerance_rad if self.orientation == "learned" else 0.0
-        return self.person.expert(self.reference_path, self.goal, self.step_m / finer, turn / finer)
+        expert = self.person.expert(self.reference_path, self.goal, self.step_m / finer, turn / finer)
+        return replace(expert, in_full=self.turns_in_full)
 
     def scaled(self, factor: float) -> Self:
         """Return the task for an arm ``factor`` times as large as the UR5 that its lengths are made for.

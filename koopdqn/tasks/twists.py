@@ -7,7 +7,8 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import reached_poses
-from koopdqn.tasks.task import TURNS_PER_STEP, Task
+from koopdqn.tasks.step import TURNS_PER_STEP
+from koopdqn.tasks.task import Task
 
 _MOTION: Final = slice(0, 3)
 _TURN: Final = slice(3, 6)

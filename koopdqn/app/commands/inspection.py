@@ -81,7 +81,8 @@ def _refused(config: Configuration, demonstrations: Demonstrations) -> str:
     """Return why demonstrations make no task, or do not belong to the one that was chosen; an empty text if they do."""
     try:
         if isinstance(config.chosen, Derivation):
-            config.chosen.model_copy(update={"holdout": 0}).derive(demonstrations)
+            recipe = config.chosen.model_copy(update={"holdout": 0})
+            recipe.derive(demonstrations, continuous=config.agent.continuous)
         else:
             check_shown(demonstrations, config.task)
     except BadInputError as error:

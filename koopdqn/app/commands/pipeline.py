@@ -65,7 +65,7 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
         )
     read = read_demonstrations(sources, recipe.name, config.robot, any_task=True, declared=config.import_)
     read = replace(read, held_out=recipe.kept_of(len(read)))
-    derived = recipe.derive(read)
+    derived = recipe.derive(read, continuous=config.agent.continuous)
     if recipe.place == "auto" and read.placement is None:
         read, derived = _placed(config, recipe, read, derived)
     if read.placement is not None:
@@ -87,7 +87,7 @@ def _placed(
     task = derived.task
     aside = agent_steps(replace(derived.training, items=derived.held_out), task) if derived.held_out else []
     moved = find_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
-    return moved, recipe.derive(moved)
+    return moved, recipe.derive(moved, continuous=config.agent.continuous)
 
 
 def _check_followed(config: Configuration, task: DemonstratedTask) -> None:
