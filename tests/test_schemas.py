@@ -180,7 +180,9 @@ def test_the_intents_arrays_are_those_documented(run: Path) -> None:
     apart = ("center", "scale", "rotation_matrix", "rotation_frame")
     following = ("frame_path", "frame_shifts", "frame_centre", "frame_reach")
     with np.load(run / "intent.npz", allow_pickle=False) as file:
-        check_arrays("### intent.npz", {name: file[name] for name in file.files}, absent=(*tube, *apart, *following, "in_full"))
+        check_arrays(
+            "### intent.npz", {name: file[name] for name in file.files}, absent=(*tube, *apart, *following, "in_full")
+        )
 
 
 def test_the_policys_arrays_are_those_documented(run: Path) -> None:
