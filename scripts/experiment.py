@@ -17,7 +17,9 @@ FOLDER: Final = Path(__file__).with_name("experiments")
 
 Kind = Literal["whole", "percent", "tenths", "millimetres"]
 """How a number is shown: rounded, a share in percent, with one decimal, metres in millimetres."""
-Show = Literal["mean", "median", "least", "mean (least)", "mean (least to most)", "median (most)", "true of all"]
+Show = Literal[
+    "mean", "median", "least", "mean (least)", "mean (least to most)", "median (most)", "median (mean)", "true of all"
+]
 """How a cell shows the values of several seeds; what stands in brackets is left out where it says nothing new."""
 
 

@@ -19,6 +19,7 @@ from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.paths import hausdorff, mean_poses, to_count
+from koopdqn.pose import Array
 
 LEAST: Final = 3
 """Demonstrations of a set worth measuring: two to learn from and one held out."""
@@ -58,9 +59,8 @@ def beside(folder: Path, run: Path) -> dict[str, Any]:
 
     Returns:
         ``placed``: whether the demonstrations were moved to where the arm can follow them; ``hausdorff_mm``: by the
-        name of the primitive, which is given the start of the one held out and the mean of the others' ends;
-        ``geodesic_deg``: the mean angle of the one held out to the nearest turn on the way from its start's straight to
-        the goal's, the only way that Table 1 turns.
+        name of the primitive, which is given the start of the one held out and the mean of the others' ends; and
+        :func:`turns`.
     """
     path = folder / "result.json"
     if not path.is_file():
@@ -70,9 +70,29 @@ def beside(folder: Path, run: Path) -> dict[str, Any]:
         for name in PRIMITIVES:
             way = learn(name, shown)(held_out[0], goal)
             found[name] = 1e3 * hausdorff(way[:, pose.POSITION], held_out[:, pose.POSITION])
-        straight = np.linspace(0.0, float(pose.rotation_distance(held_out[0], goal)), _SAMPLES)
-        turns = pose.make(goal[:3], pose.turned_toward(held_out[0, pose.QUATERNION], goal[pose.QUATERNION], straight))
-        off = np.degrees(pose.rotation_distance(held_out[:, None], turns[None]).min(axis=1).mean())
-        write_json(path, {"placed": run.name == "placed", "hausdorff_mm": found, "geodesic_deg": float(off)})
+        write_json(path, {"placed": run.name == "placed", "hausdorff_mm": found, **turns(shown, held_out)})
     content: dict[str, Any] = read_json(path, "the result")
     return content
+
+
+def turns(shown: Sequence[Array], held_out: Array) -> dict[str, float]:
+    """Return how near to the turn of a demonstration held out (N, 7) Table 1's can come, mean angles [°].
+
+    Table 1 turns on the straight way from the start's orientation to the goal's alone.
+
+    Args:
+        shown: the others (N, 7), whose ends' mean is the goal; all at the same shares of arc length.
+        held_out: it begins the way.
+
+    Returns:
+        ``geodesic_deg``: of the nearest turn on that way, at any time; ``mean_turn_deg``: of the one nearest to the mean
+        of the others, at the same share of arc length, as anyone turns who has seen them alone.
+    """
+    mean = mean_poses(list(shown), len(held_out))
+    goal = mean[-1]
+    straight = np.linspace(0.0, float(pose.rotation_distance(held_out[0], goal)), len(held_out))
+    way = pose.make(goal[:3], pose.turned_toward(held_out[0, pose.QUATERNION], goal[pose.QUATERNION], straight))
+    off = pose.rotation_distance(held_out[:, None], way[None])
+    chosen = pose.rotation_distance(mean[:, None], way[None]).argmin(axis=1)
+    nearest = {"geodesic_deg": off.min(axis=1), "mean_turn_deg": off[np.arange(len(off)), chosen]}
+    return {name: float(np.degrees(angles.mean())) for name, angles in nearest.items()}
