@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _UNSEEN: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
 # Between letters of some scripts, and in emoji.
 _JOINERS: Final = "\u200c\u200d"
+# What stands for signs of tables where the output is not UTF-8.
+_PLAIN: Final = str.maketrans({"–": "-", "−": "-", "…": "...", "°": "deg"})
 
 
 def visible(text: str) -> str:
@@ -43,16 +45,22 @@ class LiteralConsole(Console):
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text as Rich shows it."""
-        return super().render_str(visible(text), **options)
+        """Return a text as Rich shows it; what the output cannot show is replaced before Rich measures it."""
+        text = visible(text)
+        if not self.encoding.startswith("utf"):
+            text = text.translate(_PLAIN).encode(self.encoding, "backslashreplace").decode(self.encoding)
+        return super().render_str(text, **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Yield what a renderable is made of; only Rich's own control sequences remain such."""
+        # Rich's own sign of a cut cell; a line that is not laid out may hold it in a name.
+        cut = not self.encoding.startswith("utf") and (options is None or options.overflow != "ignore")
         for segment in super().render(renderable, options):
-            if segment.control or segment.text.isprintable():
+            text = segment.text.replace("…", ".") if cut else segment.text
+            if segment.control or (text == segment.text and text.isprintable()):
                 yield segment
             else:
-                yield Segment(visible(segment.text), segment.style)
+                yield Segment(visible(text), segment.style)
 
 
 @cache
@@ -70,14 +78,14 @@ def err() -> Console:
 def say(line: RenderableType) -> None:
     """Print one line of a result; a text is taken literally and never wrapped."""
     if isinstance(line, str):
-        out().print(line, markup=False, soft_wrap=True)
+        out().print(_literal(line), soft_wrap=True)
     else:
         out().print(line)
 
 
 def note(message: str) -> None:
     """Print a short message on standard error, literally and in one line."""
-    err().print(_one_line(message), markup=False, soft_wrap=True)
+    err().print(_literal(_one_line(message)), soft_wrap=True)
 
 
 def warn(message: str) -> None:
@@ -164,6 +172,11 @@ def _tagged(tag: str, style: str, message: str) -> None:
     err().print(Text.assemble("koopdqn: ", (f"{tag}:", style), f" {_one_line(message)}"), soft_wrap=True)
 
 
+def _literal(line: str) -> Text:
+    # No string: names in it keep their signs, which tables replace where the output is not UTF-8.
+    return Text(visible(line))
+
+
 def _one_line(message: str) -> str:
     return visible(" ".join(message.split()))
 
@@ -171,3 +184,8 @@ def _one_line(message: str) -> str:
 def shown_path(path: Path) -> str:
     """Return a path for people: relative to the working folder where it lies below it."""
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return "1 run", "2 runs"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"

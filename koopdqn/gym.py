@@ -40,7 +40,7 @@ for _name, _task in TASKS.items():
 
 def make(
     task: str,
-    overrides: Sequence[str] = (),
+    overrides: str | Sequence[str] = (),
     demonstrations: str | Path | Sequence[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
@@ -76,7 +76,7 @@ def make(
 def make_vector(
     num_envs: int,
     task: str,
-    overrides: Sequence[str] = (),
+    overrides: str | Sequence[str] = (),
     demonstrations: str | Path | Sequence[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
@@ -96,7 +96,7 @@ def make_vector(
 
 def environment_parts(
     task: str,
-    overrides: Sequence[str] = (),
+    overrides: str | Sequence[str] = (),
     demonstrations: str | Path | Sequence[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
@@ -106,8 +106,9 @@ def environment_parts(
     """Return what the environment of a task consists of; see :func:`make`."""
     from koopdqn.app import api
 
+    more = [overrides] if isinstance(overrides, str) else overrides
     config = api.load_config(
-        f"task={task}", f"actions={actions}", *_demos(demonstrations), *overrides, config_dir=config_dir
+        f"task={task}", f"actions={actions}", *_demos(demonstrations), *more, config_dir=config_dir
     )
     return api.environment_parts(config, *_fitted(config), oracle, exploring_starts=exploring_starts)
 
@@ -137,4 +138,6 @@ def _demos(files: str | Path | Sequence[str | Path] | None) -> list[str]:
     from koopdqn.app.hydra.overrides import literal
 
     named = [files] if isinstance(files, str | Path) else files
+    if not isinstance(named, Sequence):
+        raise BadInputError(f"demonstrations: must be a file or several, found {named!r}")
     return [f"demos=[{','.join(literal(str(each)) for each in named)}]"]

@@ -1,20 +1,26 @@
 """The API: lazily imported, and the same training as the command line's."""
 
+import io
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import pytest
 from small_run import SMALL
 
 import koopdqn
-from koopdqn.app import cli
+from koopdqn.app import api, cli
+from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError
+from koopdqn.intent.fit import Fitted
 from koopdqn.resources import conf_dir
+
+Made: TypeAlias = tuple[Configuration, Demonstrations, Fitted, api.Trained]
 
 
 def test_importing_koopdqn_loads_neither_torch_nor_mujoco() -> None:
@@ -85,6 +91,56 @@ def test_training_from_python_gives_the_networks_of_the_command_line(tmp_path: P
     environment = koopdqn.make_env(config, demonstrations, intent)
     assert environment.reset().first()
     assert environment.step(0).reward is not None
+
+
+@pytest.fixture(scope="module")
+def small() -> Made:
+    """Config, demonstrations and intent of the shelf, and what a training too short to learn brings."""
+    config = koopdqn.load_config("task=shelf", *SMALL, "train.max_steps=2000", "eval.episodes=2", "eval.dynamics=false")
+    demonstrations = koopdqn.generate(config)
+    intent = koopdqn.fit(config, demonstrations)
+    return config, demonstrations, intent, koopdqn.train(config, demonstrations, intent)
+
+
+def test_what_is_of_another_task_is_refused(small: Made) -> None:
+    config, demonstrations, intent, trained = small
+    knife = koopdqn.load_config("task=knife", "demo.count=2", "eval.episodes=2")
+    own = koopdqn.generate(knife)
+    with pytest.raises(BadInputError, match="demonstrations must be of task knife, found task shelf"):
+        koopdqn.train(knife, demonstrations, intent)
+    for use in (koopdqn.train, koopdqn.make_env):
+        with pytest.raises(BadInputError, match="intent must be of task knife, which ends at"):
+            use(knife, own, intent)
+    with pytest.raises(BadInputError, match="intent must be of task knife"):
+        koopdqn.intent_reward(knife, intent)
+    with pytest.raises(BadInputError, match="policy must be of task knife, found task shelf"):
+        koopdqn.evaluate(knife, own, koopdqn.fit(knife, own), trained)
+    assert koopdqn.evaluate(config, demonstrations, intent, trained).report["task"] == "shelf"
+
+
+def test_who_answers_must_be_an_oracle_that_can(small: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    config, demonstrations, intent, _ = small
+    for odd in cast(list[Any], [3, lambda question: True]):
+        for use in (koopdqn.train, koopdqn.make_env):
+            with pytest.raises(BadInputError, match=r"oracle: must be a koopdqn\.oracles\.base\.Oracle, found"):
+                use(config, demonstrations, intent, odd)
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    terminal = koopdqn.load_config("task=shelf", "oracle=terminal", *SMALL)
+    with pytest.raises(BadInputError, match="standard input must be a terminal, found a pipe or file"):
+        koopdqn.make_env(terminal, demonstrations, intent)
+
+
+@pytest.mark.parametrize("key", ["intent", "run"])
+def test_a_file_that_no_stage_reads_is_refused(small: Made, key: str) -> None:
+    config = koopdqn.load_config("task=shelf", *SMALL, f"{key}=/nowhere/intent.npz")
+    with pytest.raises(BadInputError, match=f"{key}: must be left out, .* found /nowhere/intent.npz"):
+        koopdqn.fit(config, small[1])
+
+
+def test_overrides_must_be_texts() -> None:
+    odd: Any = ["task=shelf"]
+    with pytest.raises(BadInputError, match="an override must be a text such as 'seed=3', found \\['task=shelf'\\]"):
+        koopdqn.load_config(odd)
 
 
 @pytest.mark.parametrize("name", ["my dir", "a,b", "it's", "50%"])

@@ -93,6 +93,19 @@ def test_a_folders_name_is_shown_and_not_obeyed(
     assert "<i>" not in shown
 
 
+def test_headings_are_whole_words_at_80_columns(
+    runs: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    console.out.cache_clear()
+    named = [f"run={run}" for run in runs]
+    assert cli.main(["compare", *named, "view.starts=1", "eval.episodes=2", f"out={tmp_path}/out"]) == 0
+    told = capsys.readouterr().out
+    assert "…" not in told
+    assert re.search(r"run +learned +time \[s\] +actions +questions +success +deviation +reached", told)
+    assert [f"run {label}  {run}" for label, run in zip("AB", runs, strict=True)] == told.splitlines()[:2]
+
+
 def test_a_run_beside_itself_differs_in_nothing(
     runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

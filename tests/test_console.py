@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.cells import cell_len
 from rich.table import Table
 
 from koopdqn import console
@@ -100,6 +101,34 @@ def test_a_name_is_shown_and_not_obeyed_wherever_it_stands(capsys: pytest.Captur
     assert streams.out.count("an[bold red]na[/] :smile: \\x1b[31mred") == 4
     assert streams.err.count("an[bold red]na[/] :smile: \\x1b[31mred\\x1b]0;title\\x07\\u202egnp.exe") == 5
     assert not any(sign in streams.out + streams.err for sign in "\x1b\x07\u202e\r\x9b")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_borders_are_in_line_whatever_the_output_can_show(encoding: str) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding=encoding, errors="backslashreplace")
+    shown = console.LiteralConsole(file=stream, width=40)
+    table = console.table(["a heading that is cut"], [["–"], ["1…2 °"], ["名ρ"], ["long" * 20]], (), title="−")
+    table.columns[0].no_wrap = True
+    shown.print(table)
+    stream.flush()
+    _, *lines = written.getvalue().decode(encoding).splitlines()
+    assert {cell_len(line) for line in lines} == {40}
+    if encoding == "ascii":
+        cells = [line.strip("| ") for line in lines if line.startswith("|")]
+        assert cells[2:5] == ["-", "1...2 deg", "\\u540d\\u03c1"]
+        assert cells[5].endswith("longlon.")
+
+
+def test_a_name_in_a_line_keeps_its_signs(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding="ascii", errors="backslashreplace")
+    monkeypatch.setattr(sys, "stdout", stream)
+    console.out.cache_clear()
+    console.say("page  a–b…/view.html")
+    stream.flush()
+    assert written.getvalue() == b"page  a\\u2013b\\u2026/view.html\n"
+    console.out.cache_clear()
 
 
 @given(st.text())

@@ -307,6 +307,10 @@ def test_every_face_gives_the_same(env_parts: EnvironmentParts) -> None:
     assert moved == pytest.approx(env_parts.workcell.task.step_m if step.reward >= 0 else 0.0, abs=1e-9)
     with pytest.raises(ValueError, match="action must be finite"):
         environment.step(np.array([np.nan, 0, 0]))
+    # Transposed twists would mix those of different episodes.
+    for actions in (np.zeros((3, 1)), np.zeros(3)):
+        with pytest.raises(ValueError, match=r"actions must have shape \(1, 3\), found"):
+            many.step(actions)
 
 
 @pytest.mark.slow

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers_shelf import shelf
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from parts import straight_poses
 from small_run import SMALL
 
@@ -136,13 +138,62 @@ def test_a_step_of_a_path_is_explained(run: Path, tmp_path: Path, capsys: pytest
     moved = np.array([action["reached"][:3] for action in actions]) - content["pose"][:3]
     axes = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
     np.testing.assert_allclose(moved[4:], step * axes, atol=1e-12)
+    assert {content["outcome"], content["detail"], content["steps"]}.isdisjoint({None})
     # The same pose given by hand has the same actions.
     given = explained(run, tmp_path / "b", capsys, "start=1", f"pose={content['pose']}".replace(" ", ""))
     assert given["why_step"] == "the pose was given"
-    assert given["off_path_mm"] is None
+    assert given["start"] == 1
+    assert {given[key] for key in ("outcome", "detail", "steps", "step", "left_at", "off_path_mm")} == {None}
     for one, other in zip(actions, given["actions"], strict=True):
         assert one["q"] == pytest.approx(other["q"], abs=1e-5)
         assert one["why"] == other["why"]
+
+
+def test_a_given_pose_is_on_no_path(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    titles: list[str] = []
+    told: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("koopdqn.plots.explain.plot_explanation", lambda path, title, *_, **tracks: titles.append(title))
+        for name, turned in (("a", "1,0,0,0"), ("b", "0.6,0.8,0,0")):
+            capsys.readouterr()
+            console.out.cache_clear()
+            place = f"pose=[0.5,-0.2,0.4,{turned}]"
+            assert cli.main(["explain", f"run={run}", place, f"out={tmp_path}/{name}"]) == 0
+            told.append(capsys.readouterr().out.partition("trusted")[0])
+    for text in (*titles, *told):
+        assert not any(word in text for word in ("step", "start", "path"))
+    assert all("0.5000, -0.2000, 0.4000 m, quaternion 0.6000, 0.8000, 0.0000" in each[1] for each in (titles, told))
+    assert len(set(titles)) == 2
+    content = json.loads((tmp_path / "a" / "explain.json").read_text(encoding="utf-8"))
+    assert content["start"] is None
+
+
+def test_the_pictures_legend_names_every_sign_and_its_views_say_what_they_show(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Figure] = []
+
+    def keep(figure: Figure, path: Path, **_: object) -> None:
+        drawn.append(figure)
+        path.touch()
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    for argument in ("step=0", "pose=[0.5,-0.2,0.4,1,0,0,0]"):
+        out = tmp_path / argument[:4]
+        assert cli.main(["explain", f"run={run}", "start=0", argument, f"out={out}"]) == 0
+    for figure, paths in zip(drawn, ({"learned", "compared with"}, set()), strict=True):
+        views = figure.axes[:4]
+        assert len({axes.get_title(loc="left") for axes in views}) == 4
+        assert {axes.get_xlabel()[1:] for axes in views} | {axes.get_ylabel()[1:] for axes in views} == {" [m]"}
+        [legend] = figure.legends
+        named = {text.get_text() for text in legend.get_texts()}
+        assert named & {"learned", "compared with"} == paths
+        assert {"start region", "goal", "the state", "predicted"} <= named
+        signs = [{str(line.get_marker()) for line in axes.lines} - {"None"} for axes in views]
+        shown = {str(each.get_marker()) for each in legend.findobj(Line2D)} - {"None"}
+        assert set().union(*signs) == shown == {"o", "*", "D"}
+        # The goal's star is not the prediction's sign.
+        assert all("*" not in near for near in signs[2:])
 
 
 def test_people_are_told_in_a_table(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

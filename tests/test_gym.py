@@ -282,6 +282,16 @@ def test_misuse_is_told(env_parts: EnvironmentParts) -> None:
     environment.reset(seed=0)
     with pytest.raises(ValueError, match="action must be from 0 to 9, found 10"):
         environment.step(np.int64(10))
+    with pytest.raises(ValueError, match=r"action must be a whole number, found \[3\.7\]"):
+        environment.step(3.7)
+    assert environment.step(np.array([4]))[4]["source"] != "none"
+    many = KoopmanVectorEnv(env_parts, 3)
+    many.reset(seed=0)
+    for actions in (np.zeros(4, int), np.zeros(2, int), np.zeros((3, 1), int)):
+        with pytest.raises(ValueError, match=r"actions must have shape \(3,\), found"):
+            many.step(actions)
+    with pytest.raises(ValueError, match="action must be a whole number"):
+        many.step(np.array([0.0, np.nan, 1.0]))
 
 
 def test_where_orientation_is_learned_the_rotation_vector_is_observed() -> None:

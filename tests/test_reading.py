@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_shown import arc, recorded, shown
+from recording_files import declared
 
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import write_hdf5
@@ -83,3 +84,33 @@ def test_held_out_demonstrations_stay_marked(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="found 3"):
         replace(three, held_out=3)
     np.testing.assert_array_equal(read.items[2].poses, three.items[2].poses)
+
+
+def test_one_source_need_not_be_in_a_list(folder: Path) -> None:
+    one = folder / "log_3.csv"
+    assert files_of(str(one)) == files_of(one) == [one]
+    assert len(read_demonstrations(one, "demonstrated", "UR5")) == 1
+    with pytest.raises(BadInputError, match="must name a file at least, found none"):
+        read_demonstrations([], "demonstrated", "UR5")
+
+
+def test_a_file_in_two_spellings_is_one_file(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "link.csv").symlink_to(folder / "log_1.csv")
+    for other in ("./log_1.csv", "log_1.csv", str(folder / "link.csv")):
+        with pytest.raises(BadInputError, match="must name every file once, found twice"):
+            files_of([str(folder / "log_1.csv"), other])
+
+
+def test_own_hdf5_is_read_as_it_stands_but_can_be_cut(folder: Path) -> None:
+    there_and_back = np.concatenate([arc(), np.repeat(arc()[-1:], 90, axis=0), arc()[::-1]])
+    write_hdf5(folder / "motions.hdf5", shown(recorded(there_and_back, idle=20)))
+    source = folder / "motions.hdf5"
+    for fields in ({"base": [1, 0, 0, 0, 0, 0]}, {"tool": [0, 0, 0.1, 0, 0, 0], "units": "mm"}):
+        with pytest.raises(BadInputError, match=f"as koopdqn writes it, found .*import.{next(iter(fields))}"):
+            read_demonstrations(source, "demonstrated", "UR5", declared=declared(fields))
+    whole = read_demonstrations(source, "demonstrated", "UR5", declared=declared({"cut": False}))
+    cut = read_demonstrations(source, "demonstrated", "UR5", declared=declared({"cut": True}))
+    assert len(whole) == len(cut) == 1
+    # The way back is left out.
+    np.testing.assert_allclose(cut.items[0].poses[-1, :3], arc()[-1, :3], atol=1e-3)

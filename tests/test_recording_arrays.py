@@ -311,3 +311,28 @@ def test_without_the_extras_the_error_names_them(tmp_path: Path, monkeypatch: py
     for name, extra in (("a.parquet", "lerobot"), ("a.bag", "ros")):
         with pytest.raises(BadInputError, match=rf"koopdqn\[{extra}\]"):
             poses_in(tmp_path / name)
+
+
+def test_fields_of_an_array_are_columns(tmp_path: Path) -> None:
+    names = ["t", "x", "y", "z", "qw", "qx", "qy", "qz"]
+    rows = np.zeros(ROWS, dtype=[*((name, "f8") for name in names), ("note", "U4")])
+    for name, column in zip(names, np.column_stack([TIMES, POSES]).T, strict=True):
+        rows[name] = column
+    np.save(tmp_path / "fields.npy", rows)
+    np.savez(tmp_path / "fields.npz", motion=rows)
+    for file in ("fields.npy", "fields.npz"):
+        (item,) = load(tmp_path / file, declared({}), None).items
+        same(item.poses, POSES)
+        np.testing.assert_allclose(item.times, TIMES)
+
+
+@pytest.mark.parametrize("count", [5, 40])
+def test_a_clock_of_each_demonstration_beside_their_poses(tmp_path: Path, count: int) -> None:
+    poses = np.stack([motion(0.001 * index) for index in range(count)])
+    times = np.stack([TIMES * (1.0 + 0.1 * index) for index in range(count)])
+    np.savez(tmp_path / "stack.npz", poses=poses, time=times)
+    items = load(tmp_path / "stack.npz", declared({"quaternion": "wxyz"}), None).items
+    assert len(items) == count
+    for item, shown, clock in zip(items, poses, times, strict=True):
+        same(item.poses, shown)
+        np.testing.assert_allclose(item.times, clock)

@@ -245,3 +245,47 @@ def test_the_order_of_columns_does_not_matter(
     )
     (found,) = poses_in(path)
     same(found, POSES[:5])
+
+
+def test_a_tool_offset_that_changes_is_undone_row_by_row(tmp_path: Path) -> None:
+    offset = np.zeros((ROWS, 6))
+    offset[:, 2] = np.where(np.arange(ROWS) < ROWS // 2, 0.1, 0.2)
+    tools = pose.make(offset[:, :3], pose.from_rotation_vector(offset[:, 3:]))
+    points = pose.compose(POSES, tools)
+    names = "timestamp " + " ".join(f"{kind}_{i}" for kind in ("actual_TCP_pose", "tcp_offset") for i in range(6))
+    columns = (TIMES, points[:, :3], pose.to_rotation_vector(points[:, 3:]), offset)
+    loaded = load(written(tmp_path / "log.csv", names, *columns), declared({}), None)
+    same(loaded.items[0].poses, POSES)
+    assert any("tcp_offset, which changes on the way" in each for each in loaded.reasons)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds"),
+    [("header.stamp.sec", "header.stamp.nanosec"), ("sec", "nanosec"), ("stamp.secs", "stamp.nsecs"), ("sec", "nsec")],
+)
+def test_seconds_and_nanoseconds_are_one_clock(tmp_path: Path, seconds: str, nanoseconds: str) -> None:
+    whole = 1_700_000_000 + np.floor(TIMES)
+    names = f"{seconds} {nanoseconds} x y z qw qx qy qz"
+    path = written(tmp_path / "log.csv", names, whole, np.round(1e9 * (TIMES % 1.0)), POSES)
+    np.testing.assert_allclose(load(path, declared({}), None).items[0].times, TIMES, atol=1e-6)
+
+
+def test_declarations_without_effect_are_told(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv", "t x y z qw qx qy qz", TIMES, POSES)
+    given = {"quaternion": "xyzw", "rotation": "vector", "orientation": [1, 0, 0, 0]}
+    loaded = load(path, declared(given), None)
+    same(loaded.items[0].poses, POSES)
+    for key in given:
+        assert any(f"import.{key} without effect" in each for each in loaded.reasons), key
+
+
+def test_two_clocks_are_refused() -> None:
+    with pytest.raises(BadInputError, match=r"must not both be given, found 50 and 0\.1"):
+        declared({"rate_hz": 50, "speed_m_s": 0.1})
+
+
+def test_a_position_in_two_units_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "log.csv", None, TIMES, POSES)
+    path.write_text("t,x [m],y [mm],z [mm],qw,qx,qy,qz\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
+    with pytest.raises(BadInputError, match="in one unit, found x in m, y in mm, z in mm"):
+        load(path, declared({}), None)

@@ -66,6 +66,22 @@ def test_make_trains_and_evaluates_what_is_missing(
     assert PAPER not in {preset for _, preset in shown}
 
 
+def test_one_run_is_told_as_one(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    parts: "Parts",
+    demonstrations: "Demonstrations",
+) -> None:
+    write_run(tmp_path / "run", parts, demonstrations)
+    console.out.cache_clear()
+    for runs, told in ((1, "2 figures and 1 table from 1 run\n"), (2, "2 figures and 1 table from 2 runs\n")):
+        content = {"figures": [0, 0], "tables": [0], "runs": [0] * runs, "missing": []}
+        monkeypatch.setattr(report, "build", lambda *given, made=content: made)
+        assert cli.main(["report", f"report.runs=[{tmp_path}/run]", f"out={tmp_path}/made{runs}"]) == 0
+        assert capsys.readouterr().out.startswith(told)
+
+
 def test_without_runs_the_error_says_what_makes_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

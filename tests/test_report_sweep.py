@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 import pytest
-from report_runs import write_evaluation, write_swept
+from report_runs import train_report, write_evaluation, write_swept
 
 from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.app.commands import report
-from koopdqn.files import read_json
+from koopdqn.files import read_json, write_json
 from koopdqn.report.schema import SweepFile
 
 if TYPE_CHECKING:
@@ -58,6 +58,22 @@ def test_the_csv_has_a_row_a_run_and_one_a_variant(work: Path) -> None:
     assert float(whole["seconds_std"]) == pytest.approx(0.5**0.5)
     assert (whole["runs"], whole["learned"]) == ("2", "1")
     assert (rows[4]["state"], rows[4]["learned"], rows[4]["seconds"]) == ("failed", "", "")
+
+
+def test_what_was_never_checked_is_not_measured(work: Path, parts: "Parts", capsys: pytest.CaptureFixture[str]) -> None:
+    write_swept(work / "one" / "0", parts, 0)
+    unchecked = {**train_report(parts, 0), "checks": [], "best_success_rate": 0.0, "best_update": 0}
+    write_json(work / "one" / "0" / "train.json", unchecked)
+    assert cli.main(["report", "sweep=one", "out=made"]) == 0
+    folder = work / "made" / "report"
+    assert capsys.readouterr().out.startswith("1 run of 1 variant\n")
+    content = read_json(folder / "sweep.json", "the sweep")
+    assert [each["check_success_rate"] for each in (*content["runs"], *content["variants"])] == [None, None]
+    with (folder / "sweep.csv").open(newline="") as file:
+        assert [row["check_success_rate"] for row in csv.DictReader(file)] == ["", ""]
+    # Success, deviation and best check, of the run and of its variant.
+    rows = re.findall(r"<tr[ >].*?</tr>", (folder / "report.html").read_text(encoding="utf-8"), re.DOTALL)
+    assert [len(re.findall(r">–", row)) for row in rows[1:]] == [3, 3]
 
 
 def test_make_evaluates_what_is_finished(work: Path, parts: "Parts", monkeypatch: pytest.MonkeyPatch) -> None:

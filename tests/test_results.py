@@ -58,6 +58,18 @@ def test_a_variant_has_mean_and_spread_of_its_known_values(sweep: Path) -> None:
     assert all(getattr(paper, key) is None for key in QUANTITIES)
 
 
+def test_a_run_that_was_never_checked_has_no_best_check(tmp_path: Path, parts: "Parts") -> None:
+    for seed in range(2):
+        write_swept(tmp_path / str(seed), parts, seed)
+    unchecked = {**train_report(parts, 0), "checks": [], "best_success_rate": 0.0, "best_update": 0}
+    write_json(tmp_path / "0" / "train.json", unchecked)
+    runs = find_sweep(tmp_path)
+    assert [run.check_success_rate for run in runs] == [None, 1.0]
+    [(variant, _)] = variants(runs)
+    assert variant.check_success_rate
+    assert (variant.check_success_rate.runs, variant.check_success_rate.mean) == (1, 1.0)
+
+
 def test_jobs_are_in_the_order_of_their_numbers(tmp_path: Path, parts: "Parts") -> None:
     for job in (10, 2, 1):
         write_swept(tmp_path / str(job), parts, job)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed, explain
@@ -14,10 +16,11 @@ from koopdqn.demonstrations.generate import generate as generate_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.evaluate import Evaluation
 from koopdqn.evaluation.evaluate import evaluate as evaluate_policy
-from koopdqn.intent.fit import Fitted, agent_steps
+from koopdqn.intent.fit import Fitted, agent_steps, check_shown
 from koopdqn.intent.fit import fit as fit_intent
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.base import Oracle
+from koopdqn.settings import shown
 from koopdqn.tasks.workcell import Workcell
 from koopdqn.tasks.workcell import open_workcell as open_scene
 
@@ -57,6 +60,9 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
     Raises:
         BadInputError: a key or option is unknown, a value breaks a rule, or ``demos=`` cannot be learned from.
     """
+    odd = [each for each in overrides if not isinstance(each, str)]
+    if odd:
+        raise BadInputError(f"an override must be a text such as 'seed=3', found {shown(odd[0])}")
     if config_dir is not None and not Path(config_dir).is_dir():
         raise BadInputError(f"config_dir: must be a folder that exists, found {str(config_dir)!r}")
     own = [] if config_dir is None else [f"hydra.searchpath=[{literal(f'file://{Path(config_dir).resolve()}')}]"]
@@ -97,12 +103,27 @@ def generate(config: Configuration) -> Demonstrations:
 
 
 def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
-    """Return the intent model K and its trust domain, fitted to demonstrations, with the report of ``fit.json``."""
+    """Return the intent model K and its trust domain, fitted to demonstrations, with the report of ``fit.json``.
+
+    Raises:
+        BadInputError: the demonstrations are not of the config's task, or the config names an intent or a run, which
+            only the command line reads.
+    """
+    for key, named in (("intent", config.inputs.intent_file), ("run", config.inputs.run)):
+        if named is not None:
+            raise BadInputError(
+                f"{key}: must be left out, as nothing but the command line reads it, found {named}"
+            )
     return fit_intent(demonstrations, config.task, config.intent, config.trust, config.reward)
 
 
 def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
-    """Return the reward function (Eqs. 15, 16) of a fitted intent, as if the task had no obstacles."""
+    """Return the reward function (Eqs. 15, 16) of a fitted intent, as if the task had no obstacles.
+
+    Raises:
+        BadInputError: the intent is of another task.
+    """
+    _check_intent(config, fitted)
     return IntentReward(config.task, fitted.model, fitted.trust, config.reward, continuous=config.agent.continuous)
 
 
@@ -112,8 +133,10 @@ def reward_around_obstacles(
     """Return the reward function of a fitted intent, bent around obstacles of the task.
 
     Raises:
-        BadInputError: obstacles leave no way.
+        BadInputError: demonstrations or intent are of another task, or obstacles leave no way.
     """
+    check_shown(demonstrations, config.task)
+    _check_intent(config, fitted)
     return pipeline.reward_of(config, workcell, fitted, agent_steps(demonstrations, config.task))
 
 
@@ -134,11 +157,11 @@ def train(
         on_check: called after every check on held-out starts.
 
     Raises:
-        BadInputError: ``agent.device`` is not there.
+        BadInputError: ``agent.device`` is not there, demonstrations or intent are of another task, or who answers
+            cannot.
         PauseRequested: who answers wants to go on another time.
     """
     from koopdqn.rl.algorithm1 import Trainer
-    from koopdqn.rl.around import answering
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.questions import Asking
     from koopdqn.rl.settings import check_device
@@ -150,7 +173,7 @@ def train(
         workcell,
         reward,
         reward.model.placed(agent_steps(demonstrations, config.task)),
-        oracle or answering(config.oracle.open(workcell, seed, Path()), config.oracle, reward.model),
+        _answering(config, oracle, workcell, reward),
         config.agent,
         config.train,
         seed,
@@ -163,7 +186,13 @@ def train(
 
 
 def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
-    """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``)."""
+    """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``).
+
+    Raises:
+        BadInputError: demonstrations, intent or policy are of another task.
+    """
+    if trained.policy.task.name != config.task.name:
+        raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
     workcell = open_workcell(config)
     return evaluate_policy(
         workcell,
@@ -190,10 +219,10 @@ def environment_parts(
     begin in the start region.
 
     Raises:
-        BadInputError: questions are to be put off, which nothing but koopdqn's own training does.
+        BadInputError: demonstrations or intent are of another task, who answers cannot, or questions are to be put off,
+            which nothing but koopdqn's own training does.
     """
     from koopdqn.envs.batch import EnvironmentParts
-    from koopdqn.rl.around import answering
     from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.starts import StartSampler
     from koopdqn.tasks.moved_goals import trained_in
@@ -211,7 +240,7 @@ def environment_parts(
     return EnvironmentParts(
         workcell,
         reward,
-        oracle or answering(config.oracle.open(workcell, config.inputs.seed, Path()), config.oracle, reward.model),
+        _answering(config, oracle, workcell, reward),
         limit,
         config.feedback,
         Budget(config.oracle.budget, config.oracle.when_spent),
@@ -230,3 +259,29 @@ def make_env(
     from koopdqn.envs.dm import KoopmanEnvironment
 
     return KoopmanEnvironment(environment_parts(config, demonstrations, fitted, oracle), config.inputs.seed)
+
+
+def _check_intent(config: Configuration, fitted: Fitted) -> None:
+    """Raise BadInputError if an intent leads elsewhere than to the task's goal."""
+    goal, found = config.task.goal, fitted.model.goal
+    if not np.allclose(goal, found, atol=1e-9):
+        raise BadInputError(
+            f"the intent must be of task {config.task.name}, which ends at {goal.round(4).tolist()}, found one that"
+            f" ends at {found.round(4).tolist()}"
+        )
+
+
+def _answering(config: Configuration, oracle: Oracle | None, workcell: Workcell, reward: IntentReward) -> Oracle:
+    """Return who answers: the oracle given, or that of the config, which may see no scene.
+
+    Raises:
+        BadInputError: it cannot.
+    """
+    from koopdqn.rl.around import answering
+
+    if oracle is None:
+        config.oracle.check()
+        return answering(config.oracle.open(workcell, config.inputs.seed, Path()), config.oracle, reward.model)
+    if not isinstance(oracle, Oracle):
+        raise BadInputError(f"oracle: must be a koopdqn.oracles.base.Oracle, found {shown(oracle)}")
+    return oracle

@@ -11,14 +11,21 @@ from koopdqn.demonstrations.recordings.load import Loaded, load
 from koopdqn.errors import BadInputError
 from koopdqn.robot.arm import Arm
 
+Sources = str | Path | Sequence[str | Path]
+"""Files: a path or a glob, or several."""
 
-def files_of(sources: Sequence[str]) -> list[Path]:
+
+def files_of(sources: Sources) -> list[Path]:
     """Return the files of sources, paths or globs, in the given order; those of a glob in natural order.
 
     Raises:
-        BadInputError: a glob matches nothing, or a file is named twice.
+        BadInputError: there is none, a glob matches nothing, or a file is named twice.
     """
     found: list[Path] = []
+    if isinstance(sources, str | Path):
+        sources = (sources,)
+    if not sources:
+        raise BadInputError("demos: must name a file at least, found none")
     for source in sources:
         named = str(Path(source).expanduser())
         # A file may have a bracket or an asterisk in its name.
@@ -31,13 +38,17 @@ def files_of(sources: Sequence[str]) -> list[Path]:
             if not paths:
                 raise BadInputError(f"demos: must name files, found none that match {source}")
         found += paths
-    twice = sorted({str(path) for path in found if found.count(path) > 1})
-    if twice:
-        raise BadInputError(f"demos: must name every file once, found twice {twice[0]}")
+    spelled: dict[Path, Path] = {}
+    for path in found:
+        # In whatever spelling, or through a link.
+        before = spelled.setdefault(path.resolve(), path)
+        if before is not path:
+            other = "" if before == path else f", as {before} too"
+            raise BadInputError(f"demos: must name every file once, found twice {path}{other}")
     return found
 
 
-def read_files(sources: Sequence[str], declared: ImportSettings, arm: Arm | None) -> list[Loaded]:
+def read_files(sources: Sources, declared: ImportSettings, arm: Arm | None) -> list[Loaded]:
     """Return what each of the files holds that sources name (:func:`files_of`).
 
     Raises:
@@ -47,7 +58,7 @@ def read_files(sources: Sequence[str], declared: ImportSettings, arm: Arm | None
 
 
 def read_demonstrations(
-    sources: Sequence[str],
+    sources: Sources,
     task: str,
     arm: str | Arm,
     any_task: bool = False,
@@ -58,7 +69,7 @@ def read_demonstrations(
     What files of others were recognised as is told on standard error.
 
     Args:
-        sources: paths or globs, at least one.
+        sources: a path or a glob, or several.
         task: name of the task they are to be of; most files do not say.
         arm: the arm, which most files do not name either; its name alone will do but for recordings of joints.
         any_task: whether files of other tasks will do.

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,16 @@ class Batch:
         episodes = self._env.episodes
         return observe(self._frame.to_frame(episodes.poses, episodes.starts), self._task)
 
+    def step_only(self, action: Any) -> Steps:
+        """Try an action in the only episode: an index in Table 1, also in an array of one, or a twist (3,) or (6,).
+
+        Raises:
+            ValueError: see :meth:`step`.
+            PauseRequested: who answers wants to go on another time.
+        """
+        given = np.asarray(action)
+        return self.step(given.reshape(1) if given.size == 1 else given[None])
+
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Steps:
         """Try an action in each episode: labels, inverse kinematics and collisions of all at once.
 
@@ -143,19 +153,16 @@ class Batch:
             active: (N,) which episodes try theirs; None for all.
 
         Raises:
-            ValueError: an action is none of the ten, or a twist is not finite.
+            ValueError: the actions are of another shape or type, one is none of the ten, or a twist is not finite.
             PauseRequested: who answers wants to go on another time.
         """
         env, count = self._env, len(self._tries)
         twists = None
         if env.feedback.reward.continuous:
-            twists = np.asarray(actions, dtype=np.float64).reshape(count, 1, twist_size(self._task))
-            if not np.isfinite(twists).all():
-                raise ValueError("action must be finite, found NaN or infinity")
+            twists = _twists(actions, (count, twist_size(self._task)))
             actions = np.full(count, FIRST_TWIST)
-        strange = (actions < 0) | (actions >= COUNT)
-        if twists is None and strange.any():
-            raise ValueError(f"action must be from 0 to {COUNT - 1}, found {actions[strange][0]}")
+        else:
+            actions = _indices(actions, count)
         terminated, truncated, undone = np.zeros((3, count), dtype=bool)
         steps = Steps(np.zeros(count), terminated, truncated, undone, np.full(count, NO_REWARD))
         rows = np.arange(count) if active is None else np.flatnonzero(active)
@@ -180,3 +187,27 @@ class Batch:
         steps.undone[rows] = env.episodes.steps[rows] == before[rows]
         steps.truncated[rows] |= ~steps.terminated[rows] & (self._tries[rows] >= env.episodes.limits[rows])
         return steps
+
+
+def _indices(actions: np.ndarray, count: int) -> np.ndarray:
+    """Return indices in Table 1 (count,), or raise ValueError if actions are none."""
+    if actions.shape != (count,):
+        raise ValueError(f"actions must have shape ({count},), found {actions.shape}")
+    with np.errstate(invalid="ignore"):
+        whole = actions.astype(np.int64) if actions.dtype.kind in "iuf" else None
+    if whole is None or (whole != actions).any():
+        raise ValueError(f"action must be a whole number, found {actions.tolist()}")
+    strange = (whole < 0) | (whole >= COUNT)
+    if strange.any():
+        raise ValueError(f"action must be from 0 to {COUNT - 1}, found {whole[strange][0]}")
+    return whole
+
+
+def _twists(actions: np.ndarray, shape: tuple[int, int]) -> Array:
+    """Return twists (N, 1, 3 or 6), or raise ValueError if actions are none of that ``shape``."""
+    if actions.shape != shape:
+        raise ValueError(f"actions must have shape {shape}, found {actions.shape}")
+    twists = actions.astype(np.float64)
+    if not np.isfinite(twists).all():
+        raise ValueError("action must be finite, found NaN or infinity")
+    return twists[:, None]

@@ -59,7 +59,7 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         """
         if not self._running:
             return self.reset()
-        steps = self._batch.step(np.array([action if self._parts.twist else int(action)]))
+        steps = self._batch.step_only(action)
         self._show(self._parts.workcell.reachability.step_seconds)
         reward, observation = float(steps.rewards[0]), self._batch.observations()[0]
         self._running = not (steps.terminated[0] or steps.truncated[0])

@@ -68,7 +68,7 @@ class KoopmanEnv(gymnasium.Env[Observations, Any]):
             PauseRequested: who answers wants to go on another time.
         """
         batch = self._begun()
-        steps = batch.step(np.array([action if self._parts.twist else int(action)]))
+        steps = batch.step_only(action)
         self._show()
         info = {
             "source": str(SOURCE_NAMES[steps.sources[0]]),

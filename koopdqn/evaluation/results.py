@@ -90,7 +90,7 @@ class SweptRun(ReportModel):
     learned: bool | None = Field(description="whether it learned; null, as what follows, if it is not finished")
     success_rate: Fraction | None = Field(description="of the evaluation; null if there is none")
     deviation_mm: NonNegative | None = Field(description="mean path deviation of the evaluation; null if there is none")
-    check_success_rate: Fraction | None = Field(description="of the best check in training")
+    check_success_rate: Fraction | None = Field(description="of the best check in training; null without any")
     oracle_queries: NonNegativeInt | None = Field(description="questions that reached the oracle")
     seconds: NonNegative | None = Field(description="time the training took [s]")
 
@@ -115,7 +115,7 @@ class Variant(ReportModel):
     learned: NonNegativeInt = Field(description="those that learned")
     success_rate: Spread | None = Field(description="over the evaluated runs; null, as below, if there are none")
     deviation_mm: Spread | None = Field(description="over the evaluated runs")
-    check_success_rate: Spread | None = Field(description="over the finished runs")
+    check_success_rate: Spread | None = Field(description="over the finished runs that were checked")
     oracle_queries: Spread | None = Field(description="over the finished runs")
     seconds: Spread | None = Field(description="over the finished runs [s]")
 
@@ -177,7 +177,8 @@ def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], eva
         except BadInputError as error:
             return SweptRun(state="failed", reason=str(error), **content)
         content |= {key: train[key] for key in ("seed", "learned", "oracle_queries", "seconds")}
-        content["check_success_rate"] = train["best_success_rate"]
+        # The report has 0 there without a check.
+        content["check_success_rate"] = train["best_success_rate"] if train["checks"] else None
         file, evaluation = newest_evaluation(place, train["task"], evaluations)
         if evaluation is not None:
             content |= {"evaluation": str(file), "success_rate": evaluation["success_rate"]}

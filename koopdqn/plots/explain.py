@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -17,6 +18,23 @@ WIDTH, HEIGHT = 1560, 980
 _AROUND_STEPS: Final = 4.5
 """How far around the state the actions are shown, in steps."""
 _RIGHT, _WRONG = style.GREEN, style.RED
+_STATE: Final[dict[str, Any]] = {
+    "marker": "o",
+    "markersize": 9,
+    "fillstyle": "none",
+    "color": style.INK,
+    "linestyle": "",
+    "zorder": 7,
+}
+# The star is the goal's.
+_PREDICTED: Final[dict[str, Any]] = {
+    "marker": "D",
+    "markersize": 8,
+    "color": style.INK,
+    "markeredgecolor": "white",
+    "linestyle": "",
+    "zorder": 7,
+}
 
 
 def plot_explanation(
@@ -24,8 +42,8 @@ def plot_explanation(
     title: str,
     task: Task,
     content: dict[str, Any],
-    learned: Array,
-    reference: Array,
+    learned: Array | None,
+    reference: Array | None,
     demonstrated: Sequence[Array],
 ) -> None:
     """Draw an explained state into a PNG.
@@ -35,34 +53,44 @@ def plot_explanation(
         title: above everything.
         task: gives start region, goal and step.
         content: of ``explain.json``.
-        learned: positions (T, 3) [m] of the policy's path.
-        reference: positions (R, 3) [m] that it is compared with.
+        learned: positions (T, 3) [m] of the policy's path; None where the state is on none.
+        reference: positions (R, 3) [m] that it is compared with; None where there is none.
         demonstrated: positions (N, 3) [m] of each demonstration.
 
     Raises:
         BadInputError: the file cannot be written.
     """
     here = np.array(content["pose"])[POSITION]
+    paths = [*demonstrated, *([] if learned is None else [learned])]
     # A name with dollar signs is no formula.
     with style.picture(path, title.replace("$", r"\$"), WIDTH, HEIGHT) as figure:
         columns = figure.add_gridspec(1, 2, width_ratios=(2.1, 1))
         whole, near = columns[0].subgridspec(2, 2, height_ratios=(1, 1)).subplots(squeeze=False)
-        for top, bottom, plane in zip(whole, near, style.two_planes([*demonstrated, learned]), strict=True):
+        for top, bottom, plane in zip(whole, near, style.two_planes(paths), strict=True):
             for axes in (top, bottom):
                 _paths(axes, plane, learned, reference, demonstrated)
-            style.frame_projection(top, plane, task, [*demonstrated, learned, here[None]])
-            top.plot(*style.project(here[None], plane), "o", color=style.INK, markersize=9, fillstyle="none")
+            style.frame_projection(top, plane, task, [*paths, here[None]])
+            top.plot(*style.project(here[None], plane), **_STATE)
             top.set_title(f"From {style.VIEWS[plane]}")
             _actions(bottom, plane, content, _AROUND_STEPS * task.step_m)
-        figure.legend(handles=_handles(), loc="outside lower center", ncols=4)
+        entries = _entries(on_path=learned is not None)
+        handles: list[Any] = list(entries.values())
+        look: dict[str, Any] = {"loc": "outside lower center", "ncols": 4, "handlelength": 3.2}
+        # What has a look in the views and one in the bars has both beside each other.
+        look["handler_map"] = {tuple: HandlerTuple(ndivide=None, pad=0.6)}
+        figure.legend(handles, list(entries), **look)
         _values(figure.add_subplot(columns[1]), content["actions"])
 
 
-def _paths(axes: Axes, plane: str, learned: Array, reference: Array, demonstrated: Sequence[Array]) -> None:
+def _paths(
+    axes: Axes, plane: str, learned: Array | None, reference: Array | None, demonstrated: Sequence[Array]
+) -> None:
     for track in demonstrated:
         axes.plot(*style.project(track, plane), color=style.DEMONSTRATED, linewidth=0.9)
-    axes.plot(*style.project(reference, plane), color=style.MEANT, linewidth=1.2, linestyle="--")
-    axes.plot(*style.project(learned, plane), color=style.LEARNED, linewidth=1.8)
+    if reference is not None:
+        axes.plot(*style.project(reference, plane), color=style.MEANT, linewidth=1.2, linestyle="--")
+    if learned is not None:
+        axes.plot(*style.project(learned, plane), color=style.LEARNED, linewidth=1.8)
 
 
 def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> None:
@@ -81,26 +109,44 @@ def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> 
         axes.plot([x, to_x], [y, to_y], linestyle=":" if action["source"] == "asked" else "-", zorder=5, **look)
         axes.plot(to_x, to_y, "o", color=colour, markersize=7 if action["chosen"] else 4, zorder=6)
     wished = np.array(content["predicted"])[None, POSITION]
-    axes.plot(*style.project(wished, plane), "*", color=style.INK, markersize=13, markeredgecolor="white", zorder=7)
-    axes.plot(x, y, "o", color=style.INK, markersize=6, zorder=7)
+    axes.plot(*style.project(wished, plane), **_PREDICTED)
+    axes.plot(x, y, **_STATE)
     axes.set_xlim(x - around, x + around)
     axes.set_ylim(y - around, y + around)
     axes.set_aspect("equal")
     axes.locator_params(nbins=5)
-    axes.set_title("The ten actions, near the state")
+    axes.set_title(f"From {style.VIEWS[plane]}, near the state")
+    i, j = style.PLANES[plane]
+    axes.set_xlabel(f"{'xyz'[i]} [m]")
+    axes.set_ylabel(f"{'xyz'[j]} [m]")
 
 
-def _handles() -> list[Line2D | Patch]:
-    return [
-        Line2D([], [], color=style.DEMONSTRATED, label="demonstrated"),
-        Line2D([], [], color=style.LEARNED, linewidth=2, label="learned"),
-        Line2D([], [], color=style.MEANT, linestyle="--", label="compared with"),
-        Line2D([], [], color=style.INK, marker="*", markersize=10, linestyle="", label="predicted"),
-        Patch(facecolor=_RIGHT, label="reward: right"),
-        Patch(facecolor=_WRONG, label="reward: wrong"),
-        Line2D([], [], color=style.GREY, linestyle=":", label="would be asked"),
-        Line2D([], [], color=style.GREY, linewidth=4, label="the policy's choice"),
-    ]
+def _entries(*, on_path: bool) -> dict[str, tuple[Line2D | Patch, ...]]:
+    """Return what stands for each name of the legend: its look in the views, and in the bars where it has one."""
+    entries: dict[str, tuple[Line2D | Patch, ...]] = {
+        "demonstrated": (Line2D([], [], color=style.DEMONSTRATED),),
+    }
+    if on_path:
+        entries["learned"] = (Line2D([], [], color=style.LEARNED, linewidth=2),)
+        entries["compared with"] = (Line2D([], [], color=style.MEANT, linestyle="--"),)
+    bar: dict[str, Any] = {"facecolor": style.GREY, "linewidth": 1.6}
+    return entries | {
+        "start region": (Patch(fill=False, edgecolor=style.GREY, linestyle="--", linewidth=1.2),),
+        "goal": (Line2D([], [], color=style.INK, marker="*", markersize=12, linestyle=""),),
+        "the state": (Line2D([], [], **_STATE),),
+        "predicted": (Line2D([], [], **_PREDICTED),),
+        "action, reward: right": (_action(_RIGHT), Patch(facecolor=_RIGHT)),
+        "action, reward: wrong": (_action(_WRONG), Patch(facecolor=_WRONG)),
+        "would be asked": (
+            Line2D([], [], color=style.GREY, linestyle=":"),
+            Patch(edgecolor="white", hatch="///", **bar),
+        ),
+        "the policy's choice": (Line2D([], [], color=style.GREY, linewidth=4), Patch(edgecolor=style.INK, **bar)),
+    }
+
+
+def _action(colour: str) -> Line2D:
+    return Line2D([], [], color=colour, linewidth=1.8, marker="o", markersize=4)
 
 
 def _values(axes: Axes, actions: Sequence[dict[str, Any]]) -> None:

@@ -104,7 +104,7 @@ def build(
     shown: list[Block] = [tables.shown_runs(groups)]
     about = ""
     if left_out:
-        about = f"{len(left_out)} finished runs or evaluations were found and left out; the second table says why."
+        about = f"Finished runs or evaluations that were left out: {len(left_out)}; the second table says why."
         shown.append(tables.left_out("Runs left out", left_out))
     sections = [
         Section("The paper's figures beside ours", [tables.comparison(groups, studies)]),

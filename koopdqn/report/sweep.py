@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from koopdqn.console import counted
 from koopdqn.evaluation.results import QUANTITIES, TRAINING, SweptRun, Variant, known, variants
 from koopdqn.files import write_json, write_text
 from koopdqn.plots.seeds import plot_sweep
@@ -39,7 +40,7 @@ def build(sweep: Path, runs: Sequence[SweptRun], folder: Path) -> dict[str, Any]
     """
     found = variants(runs)
     varied = sorted({key for run in runs for key in run.overrides})
-    title = f"Sweep: {len(runs)} runs of {len(found)} variants"
+    title = f"Sweep: {counted(len(runs), 'run')} of {counted(len(found), 'variant')}"
     drawn = [
         (_label(variant), {q.name: [q.scale * value for value in known(own, q.keys)] for q in (*_MEASURED, *_TRAINED)})
         for variant, own in found
@@ -76,9 +77,8 @@ def _table(found: Found, varied: Sequence[str]) -> Table:
             seed = "–" if run.seed is None else str(run.seed)
             rows.append((Cell(run.folder), *given, Cell(seed), Cell(outcome), *_quantities([run])))
         summaries.append(len(rows))
-        counted = f"{len(variant.seeds)} {'seed' if len(variant.seeds) == 1 else 'seeds'}"
-        learned = Cell(f"{variant.learned} of {variant.runs}")
-        rows.append((Cell("mean (least–largest)"), *given, Cell(counted), learned, *_quantities(own)))
+        seeds, learned = Cell(counted(len(variant.seeds), "seed")), Cell(f"{variant.learned} of {variant.runs}")
+        rows.append((Cell("mean (least–largest)"), *given, seeds, learned, *_quantities(own)))
     names = (quantity.name for quantity in (*_MEASURED, *_TRAINED))
     return Table("Every run, and each variant", ("run", *varied, "seed", "learned", *names), rows, summaries)
 

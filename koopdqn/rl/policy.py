@@ -93,7 +93,7 @@ def write_corrected(path: Path, source: Path, bend: Bend) -> None:
     write_artifact(path, Artifact(KIND, arrays, held.about))
 
 
-def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
+def read_policy(path: str | Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
     """Read a policy for a task, and its metadata.
 
     With ``anywhere`` the task may have obstacles that the policy was trained without.
@@ -101,6 +101,7 @@ def read_policy(path: Path, task: Task, *, anywhere: bool = False) -> tuple[Poli
     Raises:
         BadInputError: the file is missing, damaged, of another task, or its arrays do not fit its settings.
     """
+    path = Path(path)
     artifact = read_artifact(path, KIND)
     about = dict(artifact.about)
     trained = about.get("task")

@@ -218,10 +218,10 @@ def _answered(feedback: Feedback, place: int, point: Array) -> str:
     return f"answer {answers.numbers[place]} said {said} to {SHORT[answers.actions[place]]}, {gap:.1f} mm away"
 
 
-def drawn_of(walk: Walk, trajectories: Sequence[Array]) -> dict[str, Any]:
-    """Return what the picture shows of a path: positions (N, 3) [m] of it, its reference and demonstrations."""
+def drawn_of(walk: Walk | None, trajectories: Sequence[Array]) -> dict[str, Any]:
+    """Return the paths that the picture shows, if any, and the demonstrations: positions (N, 3) [m] of each."""
     return {
-        "learned": walk.episode.poses[:, POSITION],
-        "reference": walk.reference[:, POSITION],
+        "learned": None if walk is None else walk.episode.poses[:, POSITION],
+        "reference": None if walk is None else walk.reference[:, POSITION],
         "demonstrated": [rows[:, POSITION] for rows in trajectories],
     }

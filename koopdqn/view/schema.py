@@ -34,17 +34,24 @@ class ExplainedAction(ReportModel):
 
 
 class ExplainFile(ReportModel):
-    """The content of ``explain.json``."""
+    """The content of ``explain.json``; a given pose is on no path, and what tells of one is null."""
 
     run: Name = Field(description="folder of the explained run")
     task: Name = Field(description="name of the task")
-    start: NonNegativeInt = Field(description="number of the held-out start, as `koopdqn eval` draws them")
-    outcome: Name = Field(description="of the path from there: success, or the cause of failure")
-    detail: str = Field(description="more about a failure, in words")
-    steps: NonNegativeInt = Field(description="steps of the path")
-    step: NonNegativeInt = Field(description="the explained step, counted from 0")
-    why_step: Name = Field(description="why that step is shown")
-    left_at: NonNegativeInt | None = Field(description="the step from which on the path stays off; null if none does")
+    start: NonNegativeInt | None = Field(
+        description="number of the held-out start, as `koopdqn eval` draws them; of a given pose the one that"
+        " `start=` names, as if the episode had begun there; null if it names none (the task's nominal start)"
+    )
+    outcome: Name | None = Field(
+        description="of the path from there: success, or the cause of failure; null of a given pose"
+    )
+    detail: str | None = Field(description="more about a failure, in words; null of a given pose")
+    steps: NonNegativeInt | None = Field(description="steps of the path; null of a given pose")
+    step: NonNegativeInt | None = Field(description="the explained step, counted from 0; null of a given pose")
+    why_step: Name = Field(description="why that step is shown, or that the pose was given")
+    left_at: NonNegativeInt | None = Field(
+        description="the step from which on the path stays off; null if none does, and of a given pose"
+    )
     off_path_mm: NonNegative | None = Field(
         description="distance of the explained pose from the person's own path from the same start, or else from the"
         " intent's roll-out; null of a given pose"

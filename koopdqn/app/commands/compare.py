@@ -85,7 +85,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     )
     write_json(folder / "compare.json", result)
     missing = [f"not evaluated: {each.label}: koopdqn eval run={each.folder}" for each in found if not each.evaluation]
-    return CommandResult(result, [*map(_table, listings), *missing, f"page  {console.shown_path(page)}"])
+    # Folders are long: in the terminal they stand above the tables, whose headings would be cut.
+    named = [f"run {each.label}  {console.shown_path(Path(each.folder))}" for each in found]
+    tables = [_table(listings[0]), _table(listings[1], without="folder")]
+    return CommandResult(result, [*named, *tables, *missing, f"page  {console.shown_path(page)}"])
 
 
 def _read(place: Path, label: str, config: Configuration) -> _Run:
@@ -192,8 +195,13 @@ def _result_listing(found: Sequence[ComparedRun], starts: int) -> Listing:
     return Listing("Results", header, rows)
 
 
-def _table(listing: Listing) -> "Table":
+def _table(listing: Listing, without: str = "") -> "Table":
     from rich import box
 
+    kept = [place for place, heading in enumerate(listing.header) if heading != without]
+    header, *rows = ([row[place] for place in kept] for row in (listing.header, *listing.rows))
     look = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "title": listing.title}
-    return console.table(listing.header, listing.rows, listing.header, **look)
+    made = console.table(header, rows, header, **look)
+    for column in made.columns:
+        column.overflow = "fold"
+    return made

@@ -1,5 +1,7 @@
 """``koopdqn explain``: why a policy does what it does in one state."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,10 +16,13 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
 from koopdqn.intent.bend import BentIntent
 from koopdqn.intent.fit import agent_steps
+from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround
+from koopdqn.rl.policy import Policy
+from koopdqn.tasks.moved_goals import DrawnStarts
 from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
-from koopdqn.view.explain import drawn_of, explained_actions, left_at, telling_step, trust_of, walked
+from koopdqn.view.explain import Walk, drawn_of, explained_actions, left_at, telling_step, trust_of, walked
 from koopdqn.view.motions import shown_starts
 from koopdqn.view.schema import ExplainFile
 
@@ -31,80 +36,133 @@ _TOGETHER: Final = 10
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Explain a state of the run of ``run=``; write ``explain.json`` and ``explain.png``."""
-    source, chosen = config.inputs.run, config.explain
+    source = config.inputs.run
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
     if config.inputs.actions != "table1":
         raise BadInputError(f"actions: explain tells of the ten actions of Table 1, found {config.inputs.actions}")
     trained = read_trained(config, source)
-    policy, bent = trained.policy, isinstance(trained.feedback.reward.model, BentIntent)
+    policy, chosen = trained.policy, config.explain
     if isinstance(policy, PolicyAround):
         way = "a correction" if policy.policy.bend is not None else "obstacles that it never saw"
         raise BadInputError(f"run: explain tells why a network takes an action, found a policy led around {way}")
-    # A scripted person sees no obstacles: their own path leads through them.
-    referred = trained.referred and not bent
-    with console.stage("Moving the arm"):
-        number, episode = _episode(config, trained)
-    task, feedback = trained.workcell.task, trained.feedback
-    walk = walked(episode, policy, feedback, task, trained.step_limit, referred=referred)
-    row, why = telling_step(walk, task)
     if chosen.step is not None and chosen.pose is not None:
         raise BadInputError(f"explain.step: must stand without explain.pose, found step {chosen.step} and a pose")
-    if chosen.step is not None:
-        row, why = chosen.step, "it was asked for"
-        if row > episode.steps:
-            raise BadInputError(f"explain.step: must be at most {episode.steps}, the steps of this path, found {row}")
-    evaluation, values, joints = walk.evaluation, walk.values[row], episode.joints[row]
-    off_path: float | None = 1e3 * float(walk.apart[row])
-    here = 0 if chosen.pose is not None else row
-    if chosen.pose is not None:
-        row, why, off_path = 0, "the pose was given", None
-        given, start = np.array(chosen.pose)[None], episode.poses[:1]
-        evaluation = feedback.evaluate_actions(given, np.array([row]), start)
-        taken = trained.workcell.reachability.enter(given[0])
-        if taken.joints is None:
-            raise BadInputError(
-                f"explain.pose: must be one that the arm can take, found it {taken.reason.replace('_', ' ')}:"
-                f" {taken.detail}"
-            )
-        values, joints = policy.values(given, start)[0], taken.joints
+    given = None if chosen.pose is None else np.array(chosen.pose)[None]
+    shown = _on_path(config, trained, policy) if given is None else _given(config, trained, policy, given)
+    task, feedback, row = trained.workcell.task, trained.feedback, shown.row
     trajectories = agent_steps(trained.demonstrations, task)
     local = feedback.reward.model.placed(trajectories)
-    trusted, trust = trust_of(feedback, evaluation, here)
+    trusted, trust = trust_of(feedback, shown.evaluation, row)
     content = ExplainFile(
         run=str(source),
         task=task.name,
-        start=number,
-        outcome=episode.outcome,
-        detail=episode.detail,
-        steps=episode.steps,
-        step=row,
-        why_step=why,
-        left_at=left_at(walk, task),
-        off_path_mm=off_path,
-        pose=evaluation.poses[here].tolist(),
-        predicted=evaluation.predicted[here].tolist(),
+        **shown.place,
+        pose=shown.evaluation.poses[row].tolist(),
+        predicted=shown.evaluation.predicted[row].tolist(),
         trusted=trusted,
         trust=trust,
         actions=explained_actions(
-            evaluation, here, values, feedback, trained.workcell, local, joints, referred=referred
+            shown.evaluation,
+            row,
+            shown.values,
+            feedback,
+            trained.workcell,
+            local,
+            shown.joints,
+            referred=_asks_person(trained),
         ),
     ).model_dump(mode="json")
     write_json(folder / EXPLANATION, content)
     from koopdqn.plots.explain import plot_explanation
 
-    title = f"Task {task.name}, start {number}, step {row} of {episode.steps}\n{why}"
-    plot_explanation(folder / "explain.png", title, task, content, **drawn_of(walk, trajectories))
+    title = f"Task {task.name}, {_headline(content)}"
+    plot_explanation(folder / "explain.png", title, task, content, **drawn_of(shown.walk, trajectories))
     return CommandResult(content, _lines(content, folder, source))
+
+
+@dataclass(frozen=True)
+class _State:
+    """The explained state.
+
+    Attributes:
+        evaluation: of the ten actions, with the state in one of its rows.
+        row: which.
+        values: (10,) Q there.
+        joints: of the arm there (6,) [rad].
+        place: the keys of ``explain.json`` that say where on a path it is.
+        walk: that path; None of a given pose.
+    """
+
+    evaluation: ActionEvaluation
+    row: int
+    values: Array
+    joints: Array
+    place: dict[str, Any]
+    walk: Walk | None = None
+
+
+def _asks_person(trained: TrainedRun) -> bool:
+    # A scripted person sees no obstacles: their own path leads through them.
+    return trained.referred and not isinstance(trained.feedback.reward.model, BentIntent)
+
+
+def _on_path(config: Configuration, trained: TrainedRun, policy: Policy) -> _State:
+    """Return the state of a path that was asked for, or the most telling one."""
+    task = trained.workcell.task
+    with console.stage("Moving the arm"):
+        number, episode = _episode(config, trained)
+    walk = walked(episode, policy, trained.feedback, task, trained.step_limit, referred=_asks_person(trained))
+    row, why = telling_step(walk, task)
+    if config.explain.step is not None:
+        row, why = config.explain.step, "it was asked for"
+        if row > episode.steps:
+            raise BadInputError(f"explain.step: must be at most {episode.steps}, the steps of this path, found {row}")
+    place = {
+        "start": number,
+        "outcome": episode.outcome,
+        "detail": episode.detail,
+        "steps": episode.steps,
+        "step": row,
+        "why_step": why,
+        "left_at": left_at(walk, task),
+        "off_path_mm": 1e3 * float(walk.apart[row]),
+    }
+    return _State(walk.evaluation, row, walk.values[row], episode.joints[row], place, walk)
+
+
+def _given(config: Configuration, trained: TrainedRun, policy: Policy, given: Array) -> _State:
+    """Return the state of a given pose (1, 7), which is on no path.
+
+    What follows starts is placed by the held-out start that was asked for, else by the nominal one.
+    """
+    taken = trained.workcell.reachability.enter(given[0])
+    if taken.joints is None:
+        raise BadInputError(
+            f"explain.pose: must be one that the arm can take, found it {taken.reason.replace('_', ' ')}:"
+            f" {taken.detail}"
+        )
+    number, start = config.explain.start, trained.workcell.task.nominal_start[None]
+    if number is not None:
+        start = _drawn(config, trained).starts[number : number + 1]
+    evaluation = trained.feedback.evaluate_actions(given, np.array([0]), start)
+    place = dict.fromkeys(("outcome", "detail", "steps", "step", "left_at", "off_path_mm"))
+    told = {**place, "start": number, "why_step": "the pose was given"}
+    return _State(evaluation, 0, policy.values(given, start)[0], taken.joints, told)
+
+
+def _drawn(config: Configuration, trained: TrainedRun) -> DrawnStarts:
+    """Return the held-out starts, the one asked for among them."""
+    drawn, number = shown_starts(trained.workcell, config.eval), config.explain.start
+    if number is not None and number >= len(drawn.starts):
+        raise BadInputError(f"explain.start: must be below eval.episodes ({len(drawn.starts)}), found {number}")
+    return drawn
 
 
 def _episode(config: Configuration, trained: TrainedRun) -> tuple[int, Episode]:
     """Return the path from the start asked for, or from the first from which the policy fails, with its number."""
-    drawn = shown_starts(trained.workcell, config.eval)
+    drawn, number = _drawn(config, trained), config.explain.start
     starts, joints = drawn.starts, drawn.joints
-    number = config.explain.start
-    if number is not None and number >= len(starts):
-        raise BadInputError(f"explain.start: must be below eval.episodes ({len(starts)}), found {number}")
 
     def paths(begun: Array, angles: Array) -> list[Episode]:
         cell = trained.workcell
@@ -124,19 +182,34 @@ def _episode(config: Configuration, trained: TrainedRun) -> tuple[int, Episode]:
 
 
 def _lines(content: dict[str, Any], folder: Path, source: Path) -> list[RenderableType]:
-    outcome = content["outcome"].replace("_", " ") + (f" ({content['detail']})" if content["detail"] else "")
-    place = ", ".join(f"{value:.4f}" for value in content["pose"][:3])
-    off = content["off_path_mm"]
+    lines: list[RenderableType] = [f"run      {console.shown_path(source)}", f"pose     {_pose(content['pose'])}"]
+    if content["step"] is not None:
+        outcome = content["outcome"].replace("_", " ") + (f" ({content['detail']})" if content["detail"] else "")
+        lines[1:1] = [
+            f"path     start {content['start']}: {outcome} after {content['steps']} steps",
+            f"step     {content['step']}: {content['why_step']}",
+        ]
+        lines.append(f"away     {content['off_path_mm']:.1f} mm from the path that it is compared with")
+    elif content["start"] is not None:
+        lines.append(f"begun    as if at held-out start {content['start']}")
     return [
-        f"run      {console.shown_path(source)}",
-        f"path     start {content['start']}: {outcome} after {content['steps']} steps",
-        f"step     {content['step']}: {content['why_step']}",
-        f"pose     {place} m" + ("" if off is None else f", {off:.1f} mm off the path that it is compared with"),
+        *lines,
         f"trusted  {'yes' if content['trusted'] else 'no'}: {content['trust']}",
         _table(content["actions"]),
         f"report   {console.shown_path(folder / EXPLANATION)}",
         f"picture  {console.shown_path(folder / 'explain.png')}",
     ]
+
+
+def _headline(content: dict[str, Any]) -> str:
+    if content["step"] is None:
+        return f"a given pose\n{_pose(content['pose'])}"
+    return f"start {content['start']}, step {content['step']} of {content['steps']}\n{content['why_step']}"
+
+
+def _pose(values: Sequence[float]) -> str:
+    place, turned = (", ".join(f"{value:z.4f}" for value in part) for part in (values[:3], values[3:]))
+    return f"{place} m, quaternion {turned}"
 
 
 def _table(actions: list[dict[str, Any]]) -> "Table":

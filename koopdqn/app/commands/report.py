@@ -63,8 +63,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     target = folder / "report"
     with console.stage("Drawing the report", work_units(groups)) as stage:
         content = build(groups, presets, intents, left_out, _ablations(settings), target, stage.advance)
+    figures, tables, runs = (
+        console.counted(len(content[each]), each.removesuffix("s")) for each in ("figures", "tables", "runs")
+    )
     lines = [
-        f"{len(content['figures'])} figures and {len(content['tables'])} tables from {len(content['runs'])} runs",
+        f"{figures} and {tables} from {runs}",
         f"page  {console.shown_path(target / PAGE)}",
     ]
     lines += [f"missing: {part['what']}: {part['reason']} {part['command']}".rstrip() for part in content["missing"]]
@@ -88,7 +91,7 @@ def _of_sweep(settings: ReportSettings, found: Path, target: Path) -> CommandRes
         runs = find_sweep(found, [RUNS])
     content = sweep.build(found, runs, target)
     lines = [
-        f"{len(runs)} runs of {len(content['variants'])} variants",
+        f"{console.counted(len(runs), 'run')} of {console.counted(len(content['variants']), 'variant')}",
         f"page   {console.shown_path(target / PAGE)}",
         f"table  {console.shown_path(target / 'sweep.csv')}",
         f"plot   {console.shown_path(target / 'sweep.png')}",

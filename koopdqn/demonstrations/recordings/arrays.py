@@ -33,7 +33,7 @@ def read_numpy(path: Path, declared: ImportSettings) -> list[Recording]:
     Raises:
         BadInputError: the file is damaged, too large, or holds a pickle.
     """
-    tree: dict[str, Array] = {}
+    tree: dict[str, Array | Tree] = {}
     try:
         with path.open("rb") as file:
             if file.read(len(_NPY)) == _NPY:
@@ -50,20 +50,24 @@ def read_numpy(path: Path, declared: ImportSettings) -> list[Recording]:
     return recordings_of_tree(str(path), tree, declared, Recording(str(path), reasons=("NumPy arrays",)))
 
 
-def _array(path: Path, name: str, file: Any) -> Array:
-    """Return one array, after its header was found to be of numbers and not too large."""
+def _array(path: Path, name: str, file: Any) -> Array | Tree:
+    """Return one array, after its header was found to be of numbers and not too large; by field if it has fields."""
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read_header(file)
     if dtype.hasobject:
         raise BadInputError(f"demos {path}: array {name} {PICKLED}")
-    if dtype.kind not in "fiub" or len(shape) not in (0, 1, 2, 3):
+    fields = dtype.fields if len(shape) == 1 else None
+    if not fields and (dtype.kind not in "fiub" or len(shape) not in (0, 1, 2, 3)):
         return np.zeros(0)
     count = int(np.prod(shape, dtype=object))
     # As they are read, numbers of one byte take eight.
-    check_size(path, 8 * count)
+    check_size(path, max(8, dtype.itemsize) * count)
     content = file.read(count * dtype.itemsize)
     values = np.frombuffer(content, dtype=dtype, count=count)
+    if fields:
+        kinds = {field: kind.base.kind for field, (kind, *_) in fields.items()}
+        return {field: values[field].astype(float) for field, kind in kinds.items() if kind in "fiub"}
     shaped = values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
     return shaped.astype(float)
 

@@ -73,12 +73,12 @@ def _with_pose(pose: PoseColumns, taken: Callable[[tuple[int, ...]], Array], fou
     )
 
 
-def _tool(values: Array) -> Array | None:
+def _tool(values: Array) -> Array:
+    """Return the tool's pose (7,), or one for each row (N, 7) where it changes."""
     from koopdqn import pose
 
-    if np.ptp(values, axis=0).max() > 0:
-        return None
-    return pose.make(values[0, :3], pose.from_rotation_vector(values[0, 3:]))
+    poses = pose.make(values[:, :3], pose.from_rotation_vector(values[:, 3:]))
+    return poses if np.ptp(values, axis=0).max() > 0 else poses[0]
 
 
 def _rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
@@ -109,6 +109,7 @@ def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
         turn=_taken(whole.turn, taken),
         joints=_taken(whole.joints, taken),
         times=_taken(whole.times, taken),
+        tool=whole.tool if whole.tool is None or whole.tool.ndim == 1 else whole.tool[taken],
     )
 
 

@@ -159,6 +159,10 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
         reasons.append("orientation as import.orientation declares")
         return np.broadcast_to(pose.normalized(declared.orientation), (count, 4)).copy()
     turn = recording.turn
+    if declared.orientation is not None:
+        reasons.append("orientation as recorded, and import.orientation without effect")
+    if declared.rotation is not None and recording.rotation not in (None, "vector", "angles"):
+        reasons.append(f"orientation as {recording.rotation}, as names say, and import.rotation without effect")
     if recording.rotation == "transform":
         by_columns = _by_columns(recording, turn)
         reasons.append(f"4×4 matrices by {'columns' if by_columns else 'rows'}, as 0 0 0 1 stands there")
@@ -197,6 +201,8 @@ def _ordered(recording: Recording, declared: ImportSettings, reasons: list[str])
         raise _ask(recording, "quaternion", "wxyz or xyzw, as nothing says which of the four numbers is w")
     if recording.order is None:
         reasons.append(f"quaternions {order}, as declared")
+    elif declared.quaternion not in (None, order):
+        reasons.append(f"quaternions {order}, as names or the format say, and import.quaternion without effect")
     length = np.linalg.norm(turn, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1.0) > _LENGTH_TOLERANCE)
     if len(wrong):
@@ -259,7 +265,8 @@ def _at_flange(
         tool = pose.make(declared.tool[:3], pose.from_rotation_vector(declared.tool[3:]))
         reasons.append("moved from the recorded point to the flange by import.tool")
     elif tool is not None:
-        reasons.append("moved from the tool centre point to the flange by the file's own tcp_offset")
+        changes = ", which changes on the way" if tool.ndim > 1 else ""
+        reasons.append(f"moved from the tool centre point to the flange by the file's own tcp_offset{changes}")
     elif joints is not None and arm is not None and joints.shape[1] == len(arm.joint_names):
         offset = pose.compose(pose.inverse(arm.forward(joints)), poses)
         spread = pose.position_distance(offset, offset[0]).max(), pose.rotation_distance(offset, offset[0]).max()

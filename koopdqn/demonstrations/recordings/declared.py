@@ -1,8 +1,8 @@
 """What a person declares of a recording that its file does not say: the settings ``import``."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from koopdqn.demonstrations.csv import Rotation
 from koopdqn.settings import Positive, Settings, Vector4, Vector6
@@ -64,6 +64,15 @@ class ImportSettings(Settings):
     tool: Vector6 | None = Field(description="of the recorded point in the flange: x y z [m], rotation vector [rad]")
     base: Vector6 | None = Field(description="of the arm's base in the recording's frame: x y z [m], vector [rad]")
     cut: bool | None = Field(description="whether a file with several motions becomes several demonstrations")
+
+    @model_validator(mode="after")
+    def _check_clock(self) -> Self:
+        if self.rate_hz is not None and self.speed_m_s is not None:
+            raise ValueError(
+                f"rate_hz and speed_m_s must not both be given, found {self.rate_hz:g} and {self.speed_m_s:g}: each is"
+                " the clock in place of a time column"
+            )
+        return self
 
     def given(self) -> dict[str, Any]:
         """Return what is declared of how to read a file; whether it is cut is another matter."""

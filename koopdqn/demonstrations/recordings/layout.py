@@ -21,6 +21,9 @@ from koopdqn.errors import BadInputError
 _COMMANDED: Final = ("target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "setpoint")
 _MEASURED: Final = ("actual", "measured", "current", "observed", "real")
 _TIMES: Final = ("t", "time", "timestamp", "stamp", "elapsed", "clock", "timestep", "seconds", "secs")
+# A whole second and what is over it, in two columns.
+_SECONDS: Final = ("secs", "sec")
+_NANOSECONDS: Final = ("nsecs", "nanosec", "nsec")
 _DEMOS: Final = ("demo", "demonstration", "episode", "trajectory", "traj", "trial")
 _UNNAMED: Final = ""
 # What the pose is called whose columns have no prefix.
@@ -157,12 +160,11 @@ def _listed(names: Sequence[str], places: Iterable[int]) -> str:
 
 def _time_of(names: Sequence[str], known: Sequence[Name]) -> tuple[tuple[int, ...], Clock | None, list[str]]:
     """Return the places of the time, its unit and why."""
-    for place, name in enumerate(known):
-        if name.leaf in ("secs", "sec") and "stamp" in name.words:
-            wanted = (name.words, ("nsecs", "nanosec", "nsec"))
-            parts = [i for i, each in enumerate(known) if each.words == wanted[0] and each.leaf in wanted[1]]
-            if parts:
-                return (place, parts[0]), "s", [f"time from {_listed(names, (place, parts[0]))}"]
+    spelled = [(*name.words, name.leaf, *([name.unit] if name.unit else [])) for name in known]
+    for place, words in enumerate(spelled):
+        finer = [spelled.index((*words[:-1], each)) for each in _NANOSECONDS if (*words[:-1], each) in spelled]
+        if words[-1] in _SECONDS and finer:
+            return (place, finer[0]), "s", [f"time from {_listed(names, (place, finer[0]))}"]
     # What a message was stamped with is nearer to the motion than when it was written down.
     found = [i for i, name in enumerate(known) if name.leaf in _TIMES and not set(name.words) & OTHER]
     found.sort(key=lambda i: (known[i].leaf != "stamp", len(known[i].words), _TIMES.index(known[i].leaf)))

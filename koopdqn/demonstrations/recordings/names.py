@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from koopdqn.demonstrations.recordings.declared import Angles, Clock, Units
+from koopdqn.errors import BadInputError
 
 _UNITS: Final[dict[str, Units]] = {"m": "m", "meter": "m", "metre": "m", "meters": "m", "cm": "cm", "mm": "mm"}
 _ANGLES: Final[dict[str, Angles]] = {"rad": "rad", "deg": "deg", "°": "deg", "degree": "deg", "degrees": "deg"}
@@ -78,9 +79,16 @@ def parsed(name: str) -> Name:
 
 
 def length_unit(names: list[Name]) -> Units | None:
-    """Return the unit of length that names state, None if none or several."""
-    found = {_UNITS.get(name.unit) for name in names}
-    return found.pop() if len(found) == 1 else None
+    """Return the unit of length that names of one position state, None if they state none.
+
+    Raises:
+        BadInputError: they state several.
+    """
+    found = [_UNITS.get(name.unit) for name in names]
+    if len({unit for unit in found if unit}) > 1:
+        stated = ", ".join(f"{name.leaf} in {unit}" for name, unit in zip(names, found, strict=True))
+        raise BadInputError(f"the columns of a position must be in one unit, found {stated}")
+    return found[0] if len(set(found)) == 1 else None
 
 
 def angle_unit(names: list[Name]) -> Angles | None:

@@ -112,7 +112,12 @@ def _lettered(
         turns[owner] = _turn(owner, [leaves[leaf] for leaf in AXES], _three(words), known)
     else:
         places = tuple(leaves[leaf] for leaf in AXES)
-        positions[owner] = PoseColumns(owner, places, units=length_unit([known[i] for i in places]))
+        positions[owner] = PoseColumns(owner, places, units=_unit(places, known))
+
+
+def _unit(places: Sequence[int], known: Sequence[Name]) -> Units | None:
+    """Return the unit of a position, the first three of some columns."""
+    return length_unit([known[place] for place in places[:3]])
 
 
 def _turn(owner: str, places: Sequence[int], rotation: str | None, known: Sequence[Name]) -> PoseColumns:
@@ -138,16 +143,15 @@ def _counted(
 ) -> None:
     """Add what numbered columns of one prefix are: a pose of 6, 7, 12 or 16 numbers, a position, an orientation."""
     found, count, name = set(words), len(places), " ".join(words)
-    unit = length_unit([known[i] for i in places[:3]])
     if count == 16:
-        whole.append(PoseColumns(name, places, places, "transform", units=unit))
+        whole.append(PoseColumns(name, places, places, "transform", units=_unit(places, known)))
     elif count in (6, 7) and found & _POSE and not found & JOINT_WORDS:
         # UR's TCP pose is documented; others' six numbers may be of either kind.
         six: RowRotation | None = "vector" if "tcp" in found else None
         kind: RowRotation | None = "quaternion" if count == 7 else six
-        whole.append(PoseColumns(name, places[:3], places[3:], kind, units=unit, angles=None))
+        whole.append(PoseColumns(name, places[:3], places[3:], kind, units=_unit(places, known)))
     elif count == 3 and found & _POSITION and not found & _TURN:
-        positions[_owner(words, _POSITION)] = PoseColumns(name, places, units=unit)
+        positions[_owner(words, _POSITION)] = PoseColumns(name, places, units=_unit(places, known))
     elif count == 4 and found & _QUATERNION:
         turns[_owner(words, _TURN)] = PoseColumns(name, (), places, "quaternion")
     elif count == 3 and found & _TURN:

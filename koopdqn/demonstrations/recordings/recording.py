@@ -27,7 +27,7 @@ class Recording:
         rotation: what ``turn`` holds; None where the file does not say.
         order: of quaternions; None where the file does not say. So are ``units``, ``angles`` and ``clock``.
         rate_hz: rows a second where the file says that instead of times.
-        tool: pose (7,) of the recorded point in the flange, where the file says it.
+        tool: pose (7,) of the recorded point in the flange, where the file says it, or (N, 7) where that changes.
         rows: (N,) what to call each row in messages; counted from 0 if None.
         frame: the frame's name, or an empty text.
         reasons: why it was read so, a line each.

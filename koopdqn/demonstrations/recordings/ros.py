@@ -9,6 +9,7 @@ import numpy as np
 from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.recording import Recording
 from koopdqn.errors import BadInputError
+from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
 
 _BAG: Final = b"#ROSBAG V2.0"
@@ -20,6 +21,12 @@ MOST_MESSAGES: Final = 2_000_000
 """The most poses that are read from one."""
 _SETS: Final = ("/PoseStamped", "/Pose", "/PoseWithCovarianceStamped", "/TransformStamped", "/Odometry", "/TFMessage")
 _JOINTS: Final = "/JointState"
+# What stands between topic and frames in the name of a pose, as the command line takes it without quotes.
+_OF, _TO, _IN = ":", "..", " in "
+# A message that was logged or sent later than others is so late at most; longer, and the clock was set back [ns].
+_LATEST_NS: Final = 1e9
+# No clock that began with the robot's program shows more [ns], and any that counts from 1970 does.
+_LONGEST_RUN_NS: Final = 1e18
 
 
 def recognise(path: Path) -> str | None:
@@ -70,21 +77,31 @@ def _read(path: Path, reader: Any, declared: ImportSettings, arm: Arm | None) ->
             count += 1
             if count > MOST_MESSAGES:
                 raise BadInputError(f"demos {path}: must hold at most {MOST_MESSAGES} poses, found more")
-    chosen = {name: rows for name, rows in series.items() if declared.pose is None or declared.pose in name}
-    exact = {name: rows for name, rows in chosen.items() if name == declared.pose}
-    chosen = exact or chosen
-    if len(chosen) > 1 or (series and not chosen):
-        raise BadInputError(
-            f"import.pose: must name which pose of {path} to read, found {len(chosen)}; valid: {', '.join(series)}"
-        )
-    if chosen:
-        ((name, rows),) = chosen.items()
-        return _poses(path, name, np.array(rows), kinds)
+    if series:
+        name = _chosen(path, "pose", list(series), declared)
+        return _poses(path, name, np.array(series[name]), kinds)
     joints = [each for each in reader.connections if each.msgtype.endswith(_JOINTS)]
     if not joints or arm is None:
         held = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items()) or "nothing"
         raise BadInputError(f"demos {path}: must hold poses, transforms or joint states, found {held}")
-    return _joints(path, reader, joints, arm)
+    return _joints(path, reader, joints, declared, arm)
+
+
+def _chosen(path: Path, what: str, names: list[str], declared: ImportSettings) -> str:
+    """Return the one name that ``import.pose`` is, or is a part of; the only one where nothing is declared.
+
+    A topic's own name and a child frame's own come before other names that hold them.
+    """
+    wanted = declared.pose
+    left = [name for name in names if wanted is None or wanted in name]
+    own = [name for name in left if wanted in (name, name.partition(_IN)[0], name.partition(_TO)[2])]
+    chosen = own or left
+    if len(chosen) != 1:
+        found = f"{len(chosen)}{'' if wanted is None else f' for {wanted!r}'}"
+        raise BadInputError(
+            f"import.pose: must name which {what} of {path} to read, found {found}; valid: {', '.join(names)}"
+        )
+    return chosen[0]
 
 
 def _rows(topic: str, message: Any, logged: int) -> Iterator[tuple[str, tuple[float, ...]]]:
@@ -97,54 +114,73 @@ def _rows(topic: str, message: Any, logged: int) -> Iterator[tuple[str, tuple[fl
     header = getattr(message, "header", None)
     stamp = 0 if header is None else header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
     if hasattr(message, "transform"):
-        topic = f"{topic}:{header.frame_id}→{message.child_frame_id}"  # type: ignore[union-attr]  # those have one
+        frames = f"{header.frame_id}{_TO}{message.child_frame_id}"  # type: ignore[union-attr]  # those have one
+        topic = f"{topic}{_OF}{frames}"
         place, turn = message.transform.translation, message.transform.rotation
     else:
         while hasattr(message, "pose"):
             message = message.pose
         place, turn = message.position, message.orientation
-        topic = topic if header is None or not header.frame_id else f"{topic} in {header.frame_id}"
+        topic = topic if header is None or not header.frame_id else f"{topic}{_IN}{header.frame_id}"
     yield topic, (float(stamp), float(logged), place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
 
 
-def _poses(path: Path, name: str, rows: np.ndarray, kinds: dict[str, str]) -> Recording:
-    stamped = np.all(np.diff(rows[:, 0]) >= 0) and rows[0, 0] > 0
-    if not stamped:
-        rows = rows[np.argsort(rows[:, 1], kind="stable")]
-    topic, _, frame = name.partition(" in ")
-    kind = kinds.get(topic.partition(":")[0], "")
+def _clock(stamped: Array, logged: Array) -> tuple[Array, np.ndarray, str]:
+    """Return times (N,) [ns], the rows (M,) to read in their order, and which clock that is.
+
+    A message is stamped nearer to its motion than it is logged. Bags hold few messages out of their order, but a clock
+    that was set back is none.
+    """
+    # Where a clock counts from 1970, as most do, 0 is no stamp.
+    unset = (stamped <= 0) & (stamped.max(initial=0.0) > _LONGEST_RUN_NS)
+    rows = np.flatnonzero(~unset)
+    back = float((np.maximum.accumulate(stamped[rows]) - stamped[rows]).max(initial=0.0))
+    if not stamped.any():
+        return logged, np.argsort(logged, kind="stable"), "logged, since messages are not stamped"
+    if back > _LATEST_NS:
+        why = f"logged, since stamps go back by up to {1e-9 * back:.3g} s"
+        return logged, np.argsort(logged, kind="stable"), why
+    left_out = f"; {int(unset.sum())} that are not stamped left out" if unset.any() else ""
+    return stamped, rows[np.argsort(stamped[rows], kind="stable")], f"stamped{left_out}"
+
+
+def _poses(path: Path, name: str, rows: Array, kinds: dict[str, str]) -> Recording:
+    times, order, clock = _clock(rows[:, 0], rows[:, 1])
+    topic, _, frame = name.partition(_IN)
+    topic, _, frames = topic.partition(_OF)
+    shown = f"{topic} ({frames})" if frames else topic
     return Recording(
         f"{path}: {name}",
-        position=rows[:, 2:5],
-        turn=rows[:, 5:9],
+        position=rows[order, 2:5],
+        turn=rows[order, 5:9],
         rotation="quaternion",
         order="xyzw",
         units="m",
-        times=rows[:, 0 if stamped else 1],
+        times=times[order],
         clock="ns",
-        frame=frame or topic.partition(":")[2].partition("→")[0],
+        frame=frame or frames.partition(_TO)[0],
         reasons=(
-            f"topic {topic} of {kind}, in metres and with xyzw by ROS's own rules",
-            f"time in ns as {'stamped' if stamped else 'logged, since messages are not stamped'}",
+            f"topic {shown} of {kinds.get(topic, '')}, in metres and with xyzw by ROS's own rules",
+            f"time in ns as {clock}",
         ),
     )
 
 
-def _joints(path: Path, reader: Any, connections: list[Any], arm: Arm) -> Recording:
-    times, angles = [], []
+def _joints(path: Path, reader: Any, connections: list[Any], declared: ImportSettings, arm: Arm) -> Recording:
+    series: dict[str, list[tuple[float, ...]]] = {}
     for connection, logged, raw in reader.messages(connections=connections):
         message = reader.deserialize(raw, connection.msgtype)
-        if not set(arm.joint_names) <= set(message.name):
-            continue
-        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        times.append(float(stamp or logged))
-        angles.append(np.asarray(message.position)[[list(message.name).index(name) for name in arm.joint_names]])
-    if len(angles) < 2:
+        names = list(message.name)
+        if set(arm.joint_names) <= set(names):
+            stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+            angles = (float(message.position[names.index(name)]) for name in arm.joint_names)
+            series.setdefault(connection.topic, []).append((float(stamp), float(logged), *angles))
+    if not series:
         raise BadInputError(
             f"demos {path}: joint states must name {', '.join(arm.joint_names)} (robot={arm.name}), found none that do"
         )
-    order = np.argsort(times, kind="stable")
-    why = (f"joint states of {connections[0].topic}, joints by their names",)
-    return Recording(
-        str(path), joints=np.array(angles)[order], times=np.array(times)[order], angles="rad", clock="ns", reasons=why
-    )
+    topic = _chosen(path, "topic of joint states", list(series), declared)
+    rows = np.array(series[topic])
+    times, order, clock = _clock(rows[:, 0], rows[:, 1])
+    why = (f"joint states of {topic}, joints by their names", f"time in ns as {clock}")
+    return Recording(str(path), joints=rows[order, 2:], times=times[order], angles="rad", clock="ns", reasons=why)

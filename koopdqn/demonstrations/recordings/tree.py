@@ -75,7 +75,10 @@ def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array
         for name in groups:
             yield from _tables(kept[name], f"{prefix}{name}/")
         return
-    flat = dict(_flat(kept))
+    raw = dict(_flat(kept))
+    # A clock (D, N) beside poses (D, N, k) has a row for each demonstration.
+    stacked = {value.shape[:2] for value in raw.values() if value.ndim == 3}
+    flat = {name: value if value.shape in stacked else _upright(value) for name, value in raw.items()}
     stacks = [name for name, value in flat.items() if value.ndim == 3 and value.shape[1:] not in ((4, 4), (3, 3))]
     if stacks and not any(value.ndim == 2 and value.shape[1] in (3, 4, 7) for value in flat.values()):
         for index in range(len(flat[stacks[0]])):
@@ -111,7 +114,7 @@ def _flat(tree: Tree, prefix: str = "") -> Iterator[tuple[str, Array]]:
         if isinstance(value, Mapping):
             yield from _flat(value, f"{prefix}{name}.")
         elif value.dtype.kind in "fiu" and value.ndim in (1, 2, 3) and value.size:
-            yield prefix + name, _upright(value)
+            yield prefix + name, value
 
 
 def _upright(value: Array) -> Array:
