@@ -14,6 +14,7 @@ from imitation.primitives import PRIMITIVES, learn
 from koopdqn import console, pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.preprocess import on_straight_turn
 from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
@@ -78,21 +79,17 @@ def beside(folder: Path, run: Path) -> dict[str, Any]:
 def turns(shown: Sequence[Array], held_out: Array) -> dict[str, float]:
     """Return how near to the turn of a demonstration held out (N, 7) Table 1's can come, mean angles [°].
 
-    Table 1 turns on the straight way from the start's orientation to the goal's alone.
+    Table 1 turns straight to the goal's orientation alone.
 
     Args:
         shown: the others (N, 7), whose ends' mean is the goal; all at the same shares of arc length.
         held_out: it begins the way.
 
     Returns:
-        ``geodesic_deg``: of the nearest turn on that way, at any time; ``mean_turn_deg``: of the one nearest to the mean
+        ``geodesic_deg``: of the nearest straight turn, at any time; ``mean_turn_deg``: of the one nearest to the mean
         of the others, at the same share of arc length, as anyone turns who has seen them alone.
     """
     mean = mean_poses(list(shown), len(held_out))
-    goal = mean[-1]
-    straight = np.linspace(0.0, float(pose.rotation_distance(held_out[0], goal)), len(held_out))
-    way = pose.make(goal[:3], pose.turned_toward(held_out[0, pose.QUATERNION], goal[pose.QUATERNION], straight))
-    off = pose.rotation_distance(held_out[:, None], way[None])
-    chosen = pose.rotation_distance(mean[:, None], way[None]).argmin(axis=1)
-    nearest = {"geodesic_deg": off.min(axis=1), "mean_turn_deg": off[np.arange(len(off)), chosen]}
-    return {name: float(np.degrees(angles.mean())) for name, angles in nearest.items()}
+    wished = {"geodesic_deg": held_out, "mean_turn_deg": mean}
+    made = {name: on_straight_turn(rows, held_out[0], mean[-1]) for name, rows in wished.items()}
+    return {name: float(np.degrees(pose.rotation_distance(rows, held_out).mean())) for name, rows in made.items()}

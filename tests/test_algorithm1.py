@@ -196,6 +196,17 @@ def test_learned_is_when_the_way_stops_coming_nearer_to_the_intents_own(
     assert trainer.progress.best_update == trainer.history.checks[6].updates
 
 
+def test_a_check_that_is_far_astray_confirms_nothing(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [(1.0, 2.0), (1.0, 3.1), (1.0, 2.9)]
+    rest = iter(found)
+    monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (*next(rest), {}))
+    trainer = make(train={"gain": 0.1, "checks_to_learn": 2, "stop": "learned", "max_steps": 10**6})
+    trainer.run()
+    # 3.1 is over one and a half times 2.0; 2.9 is not.
+    assert [check.intent_distance for check in trainer.history.checks] == [2.0, 3.1, 2.9]
+    assert trainer.progress.best_update == trainer.history.checks[0].updates
+
+
 def test_the_step_limit_is_a_multiple_of_the_longest_demonstration(make: Make) -> None:
     assert make(train={"step_limit_factor": 4.0}).step_limit == 80
 

@@ -98,6 +98,13 @@ def test_orientation_is_told_apart() -> None:
     assert not free.rule_broken(wobble).any()
 
 
+def test_what_turns_straight_from_starts_turned_apart_is_no_full_turn() -> None:
+    apart = shown(*(recorded(turned_by(arc(), angle)) for angle in (-1.0, -0.4, 0.4, 1.0)))
+    assert RECIPE.derive(apart, continuous=True).task.turning == "geodesic"
+    alike = shown(*(recorded(tipping(offset)) for offset in (0.0, 0.01, 0.02)))
+    assert RECIPE.derive(alike, continuous=True).task.turning == "full"
+
+
 def test_ten_actions_do_not_turn_in_full() -> None:
     recipe = RECIPE.model_copy(update={"turning": "full"})
     with pytest.raises(BadInputError, match="full must go with actions=continuous, found the ten actions"):

@@ -111,9 +111,7 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
     """
     for key, named in (("intent", config.inputs.intent_file), ("run", config.inputs.run)):
         if named is not None:
-            raise BadInputError(
-                f"{key}: must be left out, as nothing but the command line reads it, found {named}"
-            )
+            raise BadInputError(f"{key}: must be left out, as nothing but the command line reads it, found {named}")
     return fit_intent(demonstrations, config.task, config.intent, config.trust, config.reward)
 
 

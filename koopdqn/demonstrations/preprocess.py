@@ -8,13 +8,17 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import BadInputError
-from koopdqn.paths import arc_lengths
+from koopdqn.paths import arc_lengths, mean_poses, to_count
 from koopdqn.pose import Array
 from koopdqn.tasks.demonstrated import RotationType
 
 # A demonstration is bent over ten times the distance its end moves, so that its direction changes by some ten degrees
 # at most; a short one is bent over its later half.
 _BENT = 10.0
+# How finely turns are compared: shares of the way, and turns from start to goal.
+_SHARES, _ANGLES = 100, 200
+# So many demonstrations left out in turn tell what a set is like.
+_MOST_LEFT_OUT = 50
 
 
 def goal_of(items: Sequence[Demonstration]) -> Array:
@@ -257,13 +261,33 @@ def rotation_type_of(
 ) -> RotationType:
     """Return the rotation type of pose trajectories (N, 7) to the goal (7,).
 
-    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Full: all others, where actions are
-    ``continuous``. Otherwise geodesic: people turn off the geodesic too, but Table 1 can follow only the part of the
-    turn toward the goal.
+    Held: no pose is turned from the goal by more than ``held_limit`` [rad]. Full: where actions are ``continuous`` and
+    the mean turn of the others is nearer to the trajectory left out than what it shows of its own straight turn to the
+    goal, which starts that are turned differently keep. Otherwise geodesic: people turn off the geodesic too, but
+    Table 1 can follow only the part of the turn toward the goal.
     """
     if largest_turn_from(trajectories, goal) <= held_limit:
         return "held"
-    return "full" if continuous else "geodesic"
+    return "full" if continuous and _nearer_in_full(trajectories, goal) else "geodesic"
+
+
+def _nearer_in_full(trajectories: Sequence[Array], goal: Array) -> bool:
+    rows = [to_count(each, _SHARES) for each in trajectories[:_MOST_LEFT_OUT]]
+    full = straight = 0.0
+    for index, left_out in enumerate(rows):
+        mean = mean_poses(rows[:index] + rows[index + 1 :] or rows, _SHARES)
+        full += float(pose.rotation_distance(mean, left_out).sum())
+        straight += float(pose.rotation_distance(on_straight_turn(mean, left_out[0], goal), left_out).sum())
+    return full < straight
+
+
+def on_straight_turn(wished: Array, start: Array, goal: Array) -> Array:
+    """Return poses (N, 7) turned as the straight turn from a start (7,) to a goal (7,) comes nearest to wished ones."""
+    angles = np.linspace(0.0, float(pose.rotation_distance(start, goal)), _ANGLES)
+    turns = pose.turned_toward(np.tile(start[pose.QUATERNION], (_ANGLES, 1)), goal[pose.QUATERNION], angles)
+    # Of unit quaternions the inner product is largest where the angle between them is least.
+    nearest = np.abs(wished[:, pose.QUATERNION] @ turns.T).argmax(axis=1)
+    return pose.make(wished[:, pose.POSITION], turns[nearest])
 
 
 def largest_turn_from(trajectories: Sequence[Array], goal: Array) -> float:

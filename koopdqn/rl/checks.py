@@ -15,6 +15,9 @@ from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
 from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
+# A check so many times as far from the intent as the first that passed shows a policy that is not settled.
+_ASTRAY = 1.5
+
 
 class Checker:
     """Measures policies from fixed starts.
@@ -68,7 +71,8 @@ class Progress:
 
     Attributes:
         learned_at: actions tried when it was learned, or −1.
-        passed: checks passed in a row, none nearer to the intent than the first by the gain.
+        passed: checks passed in a row, none nearer to the intent than the first by the gain; one that is far astray is
+            not counted.
         first_distance: distance of the first of these from the intent.
         best_success: success rate of the best check; −1 before the first.
         best_distance: its distance from the intent.
@@ -91,6 +95,9 @@ class Progress:
         """Add a check; return whether it is the best so far."""
         if check.success_rate < settings.check_success:
             self.passed = 0
+        elif self.passed and check.intent_distance > _ASTRAY * self.first_distance:
+            # It confirms nothing; the next one may.
+            pass
         elif self.passed and check.intent_distance >= (1.0 - settings.gain) * self.first_distance:
             self.passed += 1
         else:
