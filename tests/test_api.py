@@ -4,7 +4,7 @@ import io
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from koopdqn.intent.fit import Fitted
 from koopdqn.resources import conf_dir
 
 Made: TypeAlias = tuple[Configuration, Demonstrations, Fitted, api.Trained]
+ODD: Any = (3, lambda question: True)
 
 
 def test_importing_koopdqn_loads_neither_torch_nor_mujoco() -> None:
@@ -120,7 +121,7 @@ def test_what_is_of_another_task_is_refused(small: Made) -> None:
 
 def test_who_answers_must_be_an_oracle_that_can(small: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     config, demonstrations, intent, _ = small
-    for odd in cast(list[Any], [3, lambda question: True]):
+    for odd in ODD:
         for use in (koopdqn.train, koopdqn.make_env):
             with pytest.raises(BadInputError, match=r"oracle: must be a koopdqn\.oracles\.base\.Oracle, found"):
                 use(config, demonstrations, intent, odd)

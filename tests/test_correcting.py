@@ -183,3 +183,17 @@ def test_an_unknown_key_is_told(episode: Episode, folder: Path) -> None:
     reply = begin(episode, folder).press("z")
     assert not reply.changed
     assert "'z' is no key here" in reply.text
+
+
+def test_waypoints_of_a_file_may_have_a_header_and_a_wrong_line_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "shown.csv"
+    path.write_text("x,y,z\n0.1, 0.2,0.3\n\n0.4,0.5,0.6 # aside\n", encoding="utf-8")
+    assert read_waypoints(path) == ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6))
+    for content, words in (
+        ("0.1,0.2,0.3\n0.4,abc,0.6\n", r"line 2: must hold x,y,z in m, found '0\.4,abc,0\.6'"),
+        ("0.1,0.2\n", "line 1: must hold x,y,z in m"),
+        ("x,y,z\n\n", "must hold x,y,z a line, found none"),
+    ):
+        path.write_text(content, encoding="utf-8")
+        with pytest.raises(ValueError, match=words):
+            read_waypoints(path)

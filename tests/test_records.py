@@ -1,5 +1,7 @@
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -149,3 +151,17 @@ def test_answers_out_of_order_are_refused(tmp_path: Path) -> None:
     path.write_text(lines[0] + lines[2])
     with pytest.raises(BadInputError, match="line 2: answers must be numbered in order, so 1 here, found 2"):
         read_records(path)
+
+
+def test_an_action_that_is_never_right_is_no_better_one(tmp_path: Path) -> None:
+    allowed = np.array([number > 3 for number in range(10)])
+    asked = replace(question(0), number=0, choosable=allowed)
+    oracle = JournalledOracle(Reader([Answer(False, "anna", 1.0, 2)]), tmp_path / "new.jsonl", 0)
+    with pytest.raises(BadInputError, match=r"better: must be an action that can be right there, 4, 5, .*, found 2"):
+        oracle.answer(asked)
+    oracle.close()
+    # Nor one that was edited in, or written by an earlier release.
+    written(tmp_path / "old.jsonl", [Answer(False, "anna", 1.0, 2)])
+    replayed = ReplayOracle(tmp_path / "old.jsonl")
+    with pytest.raises(BadInputError, match=r"old\.jsonl: answer 0: better: must be an action that can be right"):
+        replayed.answer(asked)

@@ -180,3 +180,19 @@ def test_an_edit_of_what_a_run_has_learned_from_is_told_so(tmp_path: Path, capsy
     assert cli.main(["feedback", "edit", str(folder), str(asked - 1), "skip"]) == 0
     assert f"has learned from answer {asked - 1} already and cannot go on" in capsys.readouterr().err
     assert read_records(folder / "feedback.jsonl").items[-1].line.right is None
+
+
+@pytest.mark.parametrize("teacher", ["", "  ", "a\nb", "a\x1b[1m"])
+def test_who_edits_has_a_name_on_one_line(tmp_path: Path, teacher: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = journal(tmp_path, "anna", [True])
+    before = path.read_bytes()
+    assert cli.main(["feedback", "edit", str(path), "0", "wrong", "--teacher", teacher]) == 2
+    assert "--teacher: must be a name on one line, found" in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
+def test_without_a_subcommand_the_help_is_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["feedback"]) == 0
+    told = capsys.readouterr()
+    assert "merge" in told.out
+    assert not told.err

@@ -11,7 +11,7 @@ from rich.text import Text
 from koopdqn.oracles.base import Answer, Earlier, Question
 from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.picture import SituationCamera, magnification, magnified
-from koopdqn.oracles.terminal.screen import HELP, Shown, compose, region
+from koopdqn.oracles.terminal.screen import Shown, compose, help_lines, region
 from koopdqn.pose import POSITION, QUATERNION, position_distance, rotation_distance
 from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.shelf import ShelfTask
@@ -72,13 +72,24 @@ def test_a_screen_says_all_that_an_answer_needs(parts: Parts, asked: Question, w
 
 def test_the_help_is_whole_on_a_small_screen(parts: Parts, asked: Question) -> None:
     text = "\n".join(line.plain for line in compose(Shown(parts.task, "anna", asked, help=True), 80, 24, pictures=True))
-    assert all(line in text for line in HELP)
+    assert all(line in text for line in help_lines(asked))
+
+
+def test_the_models_suggestion_is_named_where_there_is_one(parts: Parts, asked: Question) -> None:
+    assert asked.candidates is not None
+    suggesting = replace(asked, candidates=np.vstack([asked.candidates, asked.predicted]), choosable=np.ones(11, bool))
+    for question, named in ((asked, False), (suggesting, True)):
+        for shown in (Shown(parts.task, "anna", question), Shown(parts.task, "anna", question, help=True)):
+            text = "\n".join(line.plain for line in compose(shown, 80, 24, pictures=True))
+            assert ("0-9 m" in text) is named
+            assert "0-9" in text
 
 
 def test_only_actions_that_can_be_right_can_be_named(shelf_task: ShelfTask, asked: Question) -> None:
     assert screen.choosable(asked, shelf_task).tolist() == [i not in (0, 2, 3) for i in range(COUNT)]
-    still = replace(asked, candidates=np.repeat(asked.pose[None], COUNT, axis=0))
-    assert not screen.choosable(still, shelf_task).any()
+    nothing = replace(asked, choosable=np.zeros(COUNT, dtype=bool))
+    assert not screen.choosable(nothing, shelf_task).any()
+    assert set(screen.choices(nothing, shelf_task)) == {"-"}
 
 
 def test_the_amounts_are_those_of_the_poses(shelf_task: ShelfTask, asked: Question) -> None:

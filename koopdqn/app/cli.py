@@ -312,7 +312,11 @@ def _run_app(arguments: Sequence[str]) -> int:
         describe = getattr(error, "format_message", None)
         if describe is None:
             raise
-        console.fail(_usage(error, str(describe())))
+        message = str(describe())
+        if not message:
+            # A group without a subcommand has shown its help.
+            return 0
+        console.fail(_usage(error, message))
         return 2
     return int(status or 0)
 

@@ -15,7 +15,7 @@ from koopdqn.intent.bend import Bend
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.schema import ReportModel
-from koopdqn.settings import Name, Settings, Vector3
+from koopdqn.settings import Name, Settings, Vector3, shown
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.workcell import Workcell
@@ -44,7 +44,7 @@ class CorrectionSettings(Settings):
 
 
 def read_waypoints(path: Path) -> tuple[tuple[float, ...], ...]:
-    """Return the positions [m] of a CSV file, x, y, z a line.
+    """Return the positions [m] of a CSV file, x, y, z a line, below a header of these letters or not.
 
     Raises:
         ValueError: the file is missing, or holds anything else.
@@ -52,12 +52,22 @@ def read_waypoints(path: Path) -> tuple[tuple[float, ...], ...]:
     if not path.is_file():
         raise ValueError(f"must be a list of positions or a CSV file of them, found no file {str(path)!r}")
     try:
-        if not path.read_text(encoding="utf-8-sig").strip():
-            raise ValueError("an empty file")
-        rows = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
-    except ValueError as error:
-        raise ValueError(f"{path}: must hold x,y,z a line, found {error}") from error
-    return tuple(tuple(row) for row in rows.tolist())
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: must hold x,y,z a line, found no text") from error
+    rows: list[tuple[float, ...]] = []
+    for number, line in enumerate(lines, start=1):
+        cells = [cell.strip() for cell in line.partition("#")[0].split(",")]
+        if cells == [""] or (not rows and cells == ["x", "y", "z"]):
+            continue
+        try:
+            x, y, z = map(float, cells)
+        except ValueError as error:
+            raise ValueError(f"{path}, line {number}: must hold x,y,z in m, found {shown(line.strip())}") from error
+        rows.append((x, y, z))
+    if not rows:
+        raise ValueError(f"{path}: must hold x,y,z a line, found none")
+    return tuple(rows)
 
 
 def write_waypoints(path: Path, waypoints: Array) -> None:

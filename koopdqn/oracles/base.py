@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field, PrivateAttr
 
 from koopdqn.errors import KoopdqnError
@@ -71,6 +72,8 @@ class Question:
         left: questions that the budget leaves, this one included; None without a budget.
         candidates: the poses (A, 7) that Table 1's actions reach and, where actions are continuous, the model's
             suggestion; None if unknown.
+        choosable: which of these (A,) may be named as better: what the task allows and what does something; None if
+            unknown.
         progress: one line about how the learning goes, for people.
         earlier: the answers that may be withdrawn, oldest first.
         place: among the questions of its episode; None if it is asked at once.
@@ -87,6 +90,7 @@ class Question:
     number: int = 0
     left: int | None = None
     candidates: Array | None = None
+    choosable: np.ndarray | None = None
     progress: str = ""
     earlier: Sequence[Earlier] = ()
     place: Place | None = None

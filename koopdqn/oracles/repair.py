@@ -115,6 +115,8 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     # With Table 1's ten actions there is no suggestion to ask about; with continuous ones it is asked about first.
     continuous = any(SUGGESTED in (each.line.action, each.line.better) for each in records.items)
     right, better = parse_answer(text, line.action, continuous=continuous)
+    if teacher is not None and (not teacher.strip() or not teacher.isprintable()):
+        raise BadInputError(f"--teacher: must be a name on one line, found {teacher!r}")
     source, late = teacher or line.source, number < learned
     with closing(JournalFile(path)) as file:
         file.append(EditLine(kind="edit", number=number, right=right, better=better, source=source, learned=late))

@@ -156,7 +156,12 @@ def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
             f" step {question.step}, action {question.action}), found episode {line.episode}, step {line.step}, action"
             f" {line.action}; config, seed and every earlier answer must be those of the journal"
         )
-    return record.answer
+    answer = record.answer
+    try:
+        _check_better(answer, question)
+    except BadInputError as error:
+        raise BadInputError(f"journal {path}: answer {line.number}: {error}") from error
+    return answer
 
 
 def _check(path: Path, records: Records, position: int) -> None:
@@ -173,14 +178,24 @@ def _check(path: Path, records: Records, position: int) -> None:
 def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None:
     if not 0 <= answer.undo <= withdrawable:
         raise BadInputError(f"undo: must be 0 to {withdrawable}, the answers that stand, found {answer.undo}")
-    named = COUNT if question.candidates is None else len(question.candidates)
-    if answer.better is not None and not 0 <= answer.better < named:
-        raise BadInputError(f"better: must be an action from 0 to {named - 1}, found {answer.better}")
+    _check_better(answer, question)
     if answer.better is not None and answer.right is not (answer.better == question.action):
         raise BadInputError(
             f"right: must be true exactly if the better action is the one asked about ({question.action}), found"
             f" {answer.right} with better action {answer.better}"
         )
+
+
+def _check_better(answer: Answer, question: Question) -> None:
+    """Raise BadInputError if the action named as better is none, or one that is never right there."""
+    named = COUNT if question.candidates is None else len(question.candidates)
+    if answer.better is None:
+        return
+    if not 0 <= answer.better < named:
+        raise BadInputError(f"better: must be an action from 0 to {named - 1}, found {answer.better}")
+    if question.choosable is not None and not question.choosable[answer.better]:
+        valid = ", ".join(map(str, np.flatnonzero(question.choosable)))
+        raise BadInputError(f"better: must be an action that can be right there, {valid}, found {answer.better}")
 
 
 def _undo_line(item: Earlier, question: Question) -> UndoLine:

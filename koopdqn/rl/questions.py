@@ -6,12 +6,17 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from koopdqn import pose
 from koopdqn.intent.reward import ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Place, Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.replay_buffer import Labelled
-from koopdqn.tasks.actions import FIRST_TWIST
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST, legal_actions
+from koopdqn.tasks.task import Task
+
+# Below this [m, rad] an action does nothing.
+_NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -103,8 +108,8 @@ class PutOffQuestions:
             self.take(index)
         columns = (state[name].tolist() for name in ("rows", "episodes", "steps", "actions"))
         places = state["poses"], state["starts"]
-        for index, episode, step, action, pose, start in zip(*columns, *places, strict=True):
-            self.add(index, OpenAttempt(episode, step, pose.copy(), start.copy(), action))
+        for index, episode, step, action, here, start in zip(*columns, *places, strict=True):
+            self.add(index, OpenAttempt(episode, step, here.copy(), start.copy(), action))
 
 
 def question_about(
@@ -120,6 +125,7 @@ def question_about(
         place: of the question among those of its episode; None if it is asked at once.
     """
     local, trust = evaluation.local_reached[row, attempt.action], reward.trust
+    candidates = evaluation.reached[row, :FIRST_TWIST].copy()
     return Question(
         episode=attempt.episode,
         step=attempt.step,
@@ -129,9 +135,17 @@ def question_about(
         reached=evaluation.reached[row, attempt.action].copy(),
         predicted=evaluation.predicted[row].copy(),
         reason=trust.outside(local, attempt.step + 1) or trust.outside(evaluation.local[row], attempt.step),
-        candidates=evaluation.reached[row, :FIRST_TWIST].copy(),
+        candidates=candidates,
+        choosable=_choosable(candidates, attempt.pose, reward.task),
         place=place,
     )
+
+
+def _choosable(candidates: Array, here: Array, task: Task) -> np.ndarray:
+    """Return which named actions (A,), that reach ``candidates`` (A, 7), the task allows and do something."""
+    allowed = np.append(legal_actions(task), np.ones(len(candidates) - COUNT, dtype=bool))
+    moved = pose.position_distance(candidates, here) > _NOTHING
+    return np.asarray(allowed & (moved | (pose.rotation_distance(candidates, here) > _NOTHING)))
 
 
 def answered(attempts: list[OpenAttempt], feedback: Feedback, ask: Ask, limit: int) -> Iterator[Labelled]:

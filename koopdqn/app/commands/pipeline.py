@@ -260,7 +260,7 @@ def check_scripted(config: Configuration) -> None:
     """
     if config.demo.source != "scripted":
         raise BadInputError(
-            f"demo.source: must be scripted where koopdqn {config.inputs.command} makes demonstrations itself, found"
+            "demo.source: must be scripted where demonstrations are made by themselves, found"
             f" {config.demo.source}; record with koopdqn demo, then demos=FILE"
         )
 

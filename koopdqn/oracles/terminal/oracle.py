@@ -113,7 +113,7 @@ class TerminalOracle(Oracle):
             return None
         if key in _VERDICTS:
             return self._acknowledged(Answer(_VERDICTS[key], self._teacher, seconds))
-        if len(key) == 1 and key in screen.CHOICE_KEYS:
+        if len(key) == 1 and key in screen.CHOICE_KEYS[: len(screen.choosable(question, self._workcell.task))]:
             return self._better(screen.CHOICE_KEYS.index(key), question, seconds)
         if key == "u":
             return self._undo(question)
@@ -137,7 +137,7 @@ class TerminalOracle(Oracle):
 
     def _better(self, action: int, question: Question, seconds: float) -> Answer | None:
         choosable = screen.choosable(question, self._workcell.task)
-        if action >= len(choosable) or not choosable[action]:
+        if not choosable[action]:
             self._say(f"{screen.CHOICE_KEYS[action]}: that action is never right here ({screen.SHORT[action]})")
             return None
         return self._acknowledged(Answer(action == question.action, self._teacher, seconds, action))

@@ -49,17 +49,16 @@ _WENT: Final = Style(color="yellow", bold=True)
 _MEANT: Final = Style(color="bright_cyan", bold=True)
 GOAL: Final = Style(color="green", bold=True)
 
-KEYS: Final = (
-    "y right   n wrong   0-9 m better action   s skip   u undo",
-    "p big picture   r replay motion   ? help   q pause",
-)
-HELP: Final = (
+_OTHER_KEYS: Final = "p big picture   r replay motion   ? help   q pause"
+# Where the help tells how to name a better action.
+_BETTER: Final = 4
+_HELP: Final = (
     "Was this motion what you would have done here?",
     "",
     "y      right: a person could have gone this way",
     "n      wrong: it is undone, and another action is tried",
-    "0-9 m  wrong, and this action would have been right: m is",
-    "       the model's own (naming the action itself says right)",
+    "0-9    wrong, and this action would have been right",
+    "       (naming the action itself says right)",
     "s      skip: no answer, which is not a no",
     "u      undo the latest answer; again for the one before.",
     "       The arm asks again when it comes by",
@@ -131,13 +130,15 @@ def region(width: int, height: int, *, pictures: bool) -> Region:
 def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
-    question, room = shown.question, height - 2 - len(KEYS)
+    question, named = shown.question, "0-9 m" if suggests(shown.question) else "0-9"
+    keys = (f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS)
+    room = height - 2 - len(keys)
     head = f" koopdqn  {shown.task.name}"
     if question is not None:
         left = "" if question.left is None else f", {question.left} left"
         head += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
     if shown.help:
-        body = [Text(line) for line in HELP]
+        body = [Text(line) for line in help_lines(question)]
     elif question is None:
         body = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
     else:
@@ -145,7 +146,7 @@ def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Te
         left_lines = picture_lines(shown.picture, legend, shown.remark, place)[:room]
         body = beside(left_lines, _right(shown, question, width, place, room), place.width)
     head = f"{head}   {console.visible(shown.teacher)}"
-    return framed(head, body, KEYS, [status_line(shown.status, width)], width, height)
+    return framed(head, body, keys, [status_line(shown.status, width)], width, height)
 
 
 def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text], width: int, height: int) -> list[Text]:
@@ -298,17 +299,24 @@ def choices(question: Question, task: Task) -> list[str]:
 
 
 def choosable(question: Question, task: Task) -> np.ndarray:
-    """Return which actions (A,) may be named as better: those that the task allows and that do something.
+    """Return which actions (A,) may be named as better; those that the task allows where the question does not say."""
+    return legal_actions(task) if question.choosable is None else question.choosable
 
-    They are Table 1's, and with continuous actions the model's own suggestion.
-    """
-    legal = legal_actions(task)
-    if question.candidates is None:
-        return legal
-    legal = np.append(legal, np.ones(len(question.candidates) - COUNT, dtype=bool))
-    far = pose.position_distance(question.candidates, question.pose) > _NOTHING_M
-    turned = pose.rotation_distance(question.candidates, question.pose) > _NOTHING_M
-    return legal & (far | turned)
+
+def help_lines(question: Question | None) -> list[str]:
+    """Return what the keys do."""
+    lines = list(_HELP)
+    if suggests(question):
+        lines[_BETTER : _BETTER + 2] = [
+            "0-9 m  wrong, and this action would have been right: m is",
+            "       the model's own (naming the action itself says right)",
+        ]
+    return lines
+
+
+def suggests(question: Question | None) -> bool:
+    """Return whether the model's own suggestion is one of the actions, as it is where actions are continuous."""
+    return question is not None and question.candidates is not None and len(question.candidates) > COUNT
 
 
 def verdict(right: bool | None) -> str:
