@@ -160,6 +160,14 @@ def test_a_full_step_turns_about_any_axis_as_far_as_it_moves(here: Array, move: 
     assert pose.rotation_distance(after, wished) == pytest.approx((1.0 - share) * angle, abs=1e-6)
 
 
+@given(here=poses, turn=turns)
+def test_a_full_step_keeps_the_sign_of_its_quaternion(here: Array, turn: Array) -> None:
+    wished = beside(here, np.array([STEP, 0.0, 0.0]), turn)
+    for sign in (1.0, -1.0):
+        after = stepped_in_full(here, pose.make(wished[:3], sign * wished[3:]))
+        assert after[3:] @ here[3:] >= 0
+
+
 def test_a_full_step_at_the_goal_turns_in_place_and_stays() -> None:
     here = beside(GOAL, np.zeros(3), np.array([0.2, 0.0, 0.0]))
     after = stepped_in_full(here, GOAL)

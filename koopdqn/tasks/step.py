@@ -65,6 +65,8 @@ def full_step(poses: Array, wished: Array, goal: Array, step: float, turn: float
     share = 1.0 / np.maximum(left / (TURNS_PER_STEP / IN_PLACE * turn), 1.0)
     moved = share * np.minimum(step, pose.position_distance(poses, goal))
     turned = pose.turned_toward(quaternion, wished[:, pose.QUATERNION], share * left)
+    # Of q and −q the nearer, or paths made of such steps could not be interpolated.
+    turned = turned * np.where((turned * quaternion).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
     return pose.make(poses[:, pose.POSITION] + moved[:, None] * direction, turned)
 
 
