@@ -102,9 +102,9 @@ def build(
     opening = figures.workflow(folder)
     advance()
     shown: list[Block] = [tables.shown_runs(groups)]
-    about = ""
+    about = []
     if left_out:
-        about = f"Finished runs or evaluations that were left out: {len(left_out)}; the second table says why."
+        about = [f"Finished runs or evaluations that were left out: {len(left_out)}; the second table says why."]
         shown.append(tables.left_out("Runs left out", left_out))
     sections = [
         Section("The paper's figures beside ours", [tables.comparison(groups, studies)]),
@@ -113,7 +113,7 @@ def build(
         Section("The human intent models", [tables.intents(studies)]),
         Section("Training and the learned policy", [tables.training(groups), tables.evaluation(groups)]),
         Section("Ablations", [tables.ablations(ablations)]),
-        Section("The runs", shown, [about] if about else []),
+        Section("The runs", shown, about),
     ]
     blocks = [block for section in sections for block in section.blocks]
     missing = [block for block in blocks if isinstance(block, MissingPart)]
@@ -132,9 +132,7 @@ def build(
             for run in runs
         ],
         left_out=list(left_out),
-        figures=[
-            DrawnFigure(number=b.number, title=b.title, files=list(b.files)) for b in blocks if isinstance(b, Figure)
-        ],
+        figures=[DrawnFigure(number=b.number, title=b.title, files=list(b.files)) for b in blocks if type(b) is Figure],
         tables=[block.title for block in blocks if isinstance(block, Table)],
         missing=missing,
     ).model_dump(mode="json")
@@ -169,8 +167,7 @@ def _task(
             blocks.append(MissingPart(what=f"Figure {number}", reason=reason, command=command))
         if number == REWARDS[task].replace("right", "left"):
             blocks += curves
-    paragraphs = []
-    if isinstance(material, Material):
-        run = f"the run of seed {material.run.seed} in `{material.run.folder}`"
-        paragraphs.append(f"Demonstrations are those of {run}; rewards are of every seed.")
-    return Section(_HEADINGS[task], blocks, paragraphs)
+    if not isinstance(material, Material):
+        return Section(_HEADINGS[task], blocks)
+    run = f"the run of seed {material.run.seed} in `{material.run.folder}`"
+    return Section(_HEADINGS[task], blocks, [f"Demonstrations are those of {run}; rewards are of every seed."])
