@@ -107,8 +107,15 @@ def test_own_hdf5_is_read_as_it_stands_but_can_be_cut(folder: Path) -> None:
     write_hdf5(folder / "motions.hdf5", shown(recorded(there_and_back, idle=20)))
     source = folder / "motions.hdf5"
     for fields in ({"base": [1, 0, 0, 0, 0, 0]}, {"tool": [0, 0, 0.1, 0, 0, 0], "units": "mm"}):
-        with pytest.raises(BadInputError, match=f"as koopdqn writes it, found .*import.{next(iter(fields))}"):
+        with pytest.raises(
+            BadInputError, match=f"import.{next(iter(fields))}.*: must be left out for .*koopdqn writes"
+        ):
             read_demonstrations(source, "demonstrated", "UR5", declared=declared(fields))
+    # Beside a file that needs them they are for that one.
+    np.save(folder / "other.npy", 100.0 * arc()[:, :3])
+    needed = declared({"units": "cm", "orientation": [1, 0, 0, 0], "rate_hz": 50, "columns": ["x", "y", "z"]})
+    both = read_demonstrations([source, folder / "other.npy"], "demonstrated", "UR5", declared=needed)
+    assert len(both) == 2
     whole = read_demonstrations(source, "demonstrated", "UR5", declared=declared({"cut": False}))
     cut = read_demonstrations(source, "demonstrated", "UR5", declared=declared({"cut": True}))
     assert len(whole) == len(cut) == 1

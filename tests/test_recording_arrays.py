@@ -336,3 +336,17 @@ def test_a_clock_of_each_demonstration_beside_their_poses(tmp_path: Path, count:
     for item, shown, clock in zip(items, poses, times, strict=True):
         same(item.poses, shown)
         np.testing.assert_allclose(item.times, clock)
+
+
+def test_logs_with_fields_beside_poses_are_left_aside(tmp_path: Path) -> None:
+    log = np.zeros(30, dtype=[("level", "i4"), ("code", "f8")])
+    np.savez(tmp_path / "beside.npz", poses=POSES, log_0=log, log_1=log)
+    (item,) = load(tmp_path / "beside.npz", declared({"quaternion": "wxyz", "rate_hz": 50}), None).items
+    same(item.poses, POSES)
+
+
+def test_columns_of_samples_beside_another_stack_stand_upright(tmp_path: Path) -> None:
+    images = np.zeros((3, ROWS, 2))
+    np.savez(tmp_path / "beside.npz", position=POSES[:, :3].T, quat=POSES[:, 3:].T, time=TIMES[None], noise=images)
+    (item,) = load(tmp_path / "beside.npz", declared({"quaternion": "wxyz"}), None).items
+    same(item.poses, POSES)

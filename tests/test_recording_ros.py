@@ -228,3 +228,23 @@ def test_a_damaged_bag_is_refused_in_one_line(tmp_path: Path) -> None:
         bag.path.write_bytes(content[: int(share * len(content))])
         with pytest.raises(BadInputError, match="intact bag"):
             poses_in(bag.path)
+
+
+@pytest.mark.parametrize("stamped", [1, 5, 30])
+def test_where_many_messages_are_not_stamped_all_count_as_logged(tmp_path: Path, stamped: int) -> None:
+    stamps = [stamp if row < stamped else 0 for row, stamp in enumerate(STAMPS)]
+    loaded = load(stamped_bag(tmp_path, stamps, STAMPS), declared({}), None)
+    same(loaded.items[0].poses, POSES)
+    assert f"time in ns as logged, since {60 - stamped} of 60 messages are not stamped" in loaded.reasons
+
+
+def test_a_name_in_the_list_can_be_named(tmp_path: Path) -> None:
+    bag, kind = Bag("ros2", tmp_path), "geometry_msgs/msg/PoseStamped"
+    with bag.writer:
+        poses = bag.poses(POSES)
+        rows = [bag.make(kind, bag.header(s, "world" if i % 2 else ""), poses[i]) for i, s in enumerate(STAMPS)]
+        bag.write("/pose", kind, rows)
+    (found,) = poses_in(bag.path, pose="/pose")
+    same(found, POSES[::2])
+    (found,) = poses_in(bag.path, pose="world")
+    same(found, POSES[1::2])

@@ -142,7 +142,7 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("demo", "demo.keyboard.step_m=0"), "demo.keyboard.step_m: must be greater than or equal to 0.0001"),
         (
             ("train", *SMALL, "source=keyboard"),
-            "demo.source: must be scripted where koopdqn train makes demonstrations",
+            "demo.source: must be scripted where demonstrations are made by themselves",
         ),
         (("demo", "run=nowhere"), "run: must name the folder of a recording, found no folder 'nowhere'"),
         (("demo", "run={scripted}"), "run: must name a folder of demonstrations recorded with source=keyboard"),

@@ -289,3 +289,27 @@ def test_a_position_in_two_units_is_refused(tmp_path: Path) -> None:
     path.write_text("t,x [m],y [mm],z [mm],qw,qx,qy,qz\n" + path.read_text(encoding="utf-8"), encoding="utf-8")
     with pytest.raises(BadInputError, match="in one unit, found x in m, y in mm, z in mm"):
         load(path, declared({}), None)
+
+
+@pytest.mark.parametrize(
+    "pair", ["duration.sec duration.nanosec", "lifetime.secs lifetime.nsecs", "goal.sec goal.nsec"]
+)
+def test_a_span_or_another_time_is_not_the_clock(tmp_path: Path, pair: str) -> None:
+    zero = np.zeros(ROWS)
+    path = written(tmp_path / "log.csv", f"{pair} t x y z qw qx qy qz", zero, zero, TIMES, POSES)
+    np.testing.assert_allclose(load(path, declared({}), None).items[0].times, TIMES, atol=1e-6)
+
+
+def test_the_measured_stamp_comes_before_a_commanded_one_and_a_declared_clock_before_all(tmp_path: Path) -> None:
+    zero, whole, rest = np.zeros(ROWS), 1_700_000_000 + np.floor(TIMES), np.round(1e9 * (TIMES % 1.0))
+    stamps = "goal.header.stamp.sec goal.header.stamp.nanosec header.stamp.sec header.stamp.nanosec"
+    path = written(tmp_path / "log.csv", f"{stamps} k x y z qw qx qy qz", zero, zero, whole, rest, 2 * TIMES, POSES)
+    np.testing.assert_allclose(load(path, declared({}), None).items[0].times, TIMES, atol=1e-6)
+    found = load(path, declared({"columns": {"t": "k"}}), None).items[0].times
+    np.testing.assert_allclose(found, 2 * TIMES, atol=1e-6)
+
+
+def test_units_of_a_pose_that_is_not_read_may_be_mixed(tmp_path: Path) -> None:
+    names = "t x y z qw qx qy qz target_x_mm target_y_mm target_z_m"
+    path = written(tmp_path / "log.csv", names, TIMES, POSES, POSES[:, :3])
+    same(load(path, declared({}), None).items[0].poses, POSES)

@@ -177,6 +177,8 @@ def test_an_edit_of_what_a_run_has_learned_from_is_told_so(tmp_path: Path, capsy
     asked = json.loads((folder / "train.json").read_text())["oracle_queries"]
     assert asked == len(read_records(folder / "feedback.jsonl").items) > 1
     capsys.readouterr()
+    assert cli.main(["feedback", "edit", str(folder), str(asked - 1), "2"]) == 2
+    assert "an action that can be right in the run's task, 1, 4, 5" in " ".join(capsys.readouterr().err.split())
     assert cli.main(["feedback", "edit", str(folder), str(asked - 1), "skip"]) == 0
     assert f"has learned from answer {asked - 1} already and cannot go on" in capsys.readouterr().err
     assert read_records(folder / "feedback.jsonl").items[-1].line.right is None

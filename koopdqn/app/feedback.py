@@ -109,6 +109,7 @@ def edit(journal: Path, number: int, answer: str, teacher: str | None, *, drop_l
     path = journal_path(journal)
     with locked(path.parent):
         learned = _learned_answers(path.parent) if path.name == JOURNAL else 0
+        _check_allowed(path.parent, answer)
         item = repair.edit(path, number, answer, teacher, learned, drop_later=drop_later)
     dropped = "; later answers no longer count" if drop_later else ""
     console.say(f"answer {number} is now {_verdict(item)}, by {item.line.source}{dropped}")
@@ -133,6 +134,27 @@ def merge(journals: Sequence[Path], out: Path) -> int:
     )
     console.say(f"journal  {console.shown_path(out)}")
     return 0
+
+
+def _check_allowed(folder: Path, answer: str) -> None:
+    """Raise BadInputError if an answer names an action of Table 1 that the task of a folder's run never allows."""
+    import numpy as np
+
+    from koopdqn.app.commands.pipeline import INTENT
+    from koopdqn.artifact import read_artifact, reading
+    from koopdqn.settings import load_settings
+    from koopdqn.tasks.actions import legal_actions
+    from koopdqn.tasks.task import Task
+
+    intent = folder / INTENT
+    if not (len(answer) == 1 and answer.isdecimal() and intent.is_file()):
+        return
+    about = read_artifact(intent, "intent").about
+    with reading(f"intent {intent}"):
+        legal = legal_actions(load_settings(about["task"], Task, "task"))
+    if not legal[int(answer)]:
+        valid = ", ".join(map(str, np.flatnonzero(legal)))
+        raise BadInputError(f"answer: must be an action that can be right in the run's task, {valid}, found {answer}")
 
 
 def _learned_answers(folder: Path) -> int:

@@ -52,9 +52,15 @@ def read_files(sources: Sources, declared: ImportSettings, arm: Arm | None) -> l
     """Return what each of the files holds that sources name (:func:`files_of`).
 
     Raises:
-        BadInputError: a file is missing, damaged, or something must be declared.
+        BadInputError: a file is missing, damaged, or something must be declared, or is and no file needs it.
     """
-    return [load(path, declared, arm) for path in files_of(sources)]
+    read = [load(path, declared, arm) for path in files_of(sources)]
+    if declared.given() and all(each.own for each in read):
+        raise BadInputError(
+            f"import.{', import.'.join(declared.given())}: must be left out for {read[0].path}, which is read as it"
+            f" stands, being {read[0].kind}"
+        )
+    return read
 
 
 def read_demonstrations(

@@ -143,7 +143,7 @@ class Batch:
             PauseRequested: who answers wants to go on another time.
         """
         given = np.asarray(action)
-        return self.step(given.reshape(1) if given.size == 1 else given[None])
+        return self.step(given.reshape(1) if given.size == 1 else np.atleast_2d(given))
 
     def step(self, actions: np.ndarray, active: np.ndarray | None = None) -> Steps:
         """Try an action in each episode: labels, inverse kinematics and collisions of all at once.

@@ -47,7 +47,10 @@ def read_numpy(path: Path, declared: ImportSettings) -> list[Recording]:
                         tree[each.filename.removesuffix(".npy")] = _array(path, each.filename, member)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, RuntimeError) as error:
         raise BadInputError(f"demos {path}: must be an intact npy or npz file, found: {error}") from error
-    return recordings_of_tree(str(path), tree, declared, Recording(str(path), reasons=("NumPy arrays",)))
+    plain = {name: value for name, value in tree.items() if isinstance(value, np.ndarray)}
+    # Arrays with fields are logs of something else where there are others that can be poses.
+    kept: Tree = plain if any(value.ndim > 1 for value in plain.values()) else tree
+    return recordings_of_tree(str(path), kept, declared, Recording(str(path), reasons=("NumPy arrays",)))
 
 
 def _array(path: Path, name: str, file: Any) -> Array | Tree:

@@ -12,6 +12,7 @@ from koopdqn.demonstrations.recordings.names import (
     VECTOR,
     Name,
     angle_unit,
+    check_one_unit,
     clock_unit,
     parsed,
 )
@@ -24,6 +25,8 @@ _TIMES: Final = ("t", "time", "timestamp", "stamp", "elapsed", "clock", "timeste
 # A whole second and what is over it, in two columns.
 _SECONDS: Final = ("secs", "sec")
 _NANOSECONDS: Final = ("nsecs", "nanosec", "nsec")
+# Words of a time that is none of the clock's.
+_SPANS: Final = {"duration", "lifetime", "start", "timeout", "period"}
 _DEMOS: Final = ("demo", "demonstration", "episode", "trajectory", "traj", "trial")
 _UNNAMED: Final = ""
 # What the pose is called whose columns have no prefix.
@@ -77,11 +80,15 @@ def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Lay
         names = _renamed(where, names, declared.columns)
     known = [parsed(name) for name in _without_twins(names)]
     time, clock, why_time = _time_of(names, known)
+    if declared.columns and "t" in names:
+        time, clock, why_time = (list(names).index("t"),), None, ["time from the declared column"]
     demo = next((i for i, name in enumerate(names) if _is_demo(known[i])), None)
     joints = _joints_of(known)
     tool = next((tuple(g.values()) for w, g in numbered(known) if w[-2:] == ("tcp", "offset") and len(g) == 6), ())
     poses = poses_of(known)
     pose, why_pose = _chosen(where, poses, declared)
+    if pose is not None:
+        check_one_unit(where, [known[place] for place in pose.position[:3]])
     if pose is None and not joints:
         found = ", ".join(names[:20]) + (" …" if len(names) > 20 else "")
         raise BadInputError(
@@ -160,13 +167,11 @@ def _listed(names: Sequence[str], places: Iterable[int]) -> str:
 
 def _time_of(names: Sequence[str], known: Sequence[Name]) -> tuple[tuple[int, ...], Clock | None, list[str]]:
     """Return the places of the time, its unit and why."""
-    spelled = [(*name.words, name.leaf, *([name.unit] if name.unit else [])) for name in known]
-    for place, words in enumerate(spelled):
-        finer = [spelled.index((*words[:-1], each)) for each in _NANOSECONDS if (*words[:-1], each) in spelled]
-        if words[-1] in _SECONDS and finer:
-            return (place, finer[0]), "s", [f"time from {_listed(names, (place, finer[0]))}"]
     # What a message was stamped with is nearer to the motion than when it was written down.
     found = [i for i, name in enumerate(known) if name.leaf in _TIMES and not set(name.words) & OTHER]
+    pair = _whole_and_rest(known)
+    if pair and ("stamp" in _spelled(known[pair[0]]) or set(found) <= set(pair)):
+        return pair, "s", [f"time from {_listed(names, pair)}"]
     found.sort(key=lambda i: (known[i].leaf != "stamp", len(known[i].words), _TIMES.index(known[i].leaf)))
     if not found:
         return (), None, []
@@ -174,6 +179,23 @@ def _time_of(names: Sequence[str], known: Sequence[Name]) -> tuple[tuple[int, ..
     clock = clock_unit(known[found[0]]) or ("ns" if echoed else None)
     why = f"time from {names[found[0]].strip()}" + (", in ns as rostopic echo -p writes it" if echoed else "")
     return (found[0],), clock, [why]
+
+
+def _spelled(name: Name) -> tuple[str, ...]:
+    """Return all words of a name, one that was taken for a unit too."""
+    return (*name.words, name.leaf, *([name.unit] if name.unit else []))
+
+
+def _whole_and_rest(known: Sequence[Name]) -> tuple[int, ...]:
+    """Return the places of whole seconds and of the nanoseconds over them; none if empty. A stamp comes first."""
+    spelled = [_spelled(name) for name in known]
+    pairs = [
+        (bool(set(words) & set(_COMMANDED)), "stamp" not in words, place, spelled.index((*words[:-1], rest)))
+        for place, words in enumerate(spelled)
+        for rest in _NANOSECONDS
+        if words[-1] in _SECONDS and (*words[:-1], rest) in spelled and not set(words) & _SPANS
+    ]
+    return min(pairs)[2:] if pairs else ()
 
 
 def _joints_of(known: Sequence[Name]) -> tuple[int, ...]:

@@ -77,11 +77,6 @@ def load(path: Path, declared: ImportSettings, arm: Arm | None) -> Loaded:
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise BadInputError(f"demos {path}: must be a file or a folder, found a pipe or a device")
     if path.is_file() and _is_own_hdf5(path):
-        if declared.given():
-            raise BadInputError(
-                f"demos {path}: must be read as it stands, being HDF5 as koopdqn writes it, found"
-                f" import.{', import.'.join(declared.given())}"
-            )
         read = read_hdf5(path)
         kind, items = "HDF5, as koopdqn writes it", tuple(read.items)
         motions = tuple(motions_of(items[0])) if declared.cut and len(items) == 1 else ()

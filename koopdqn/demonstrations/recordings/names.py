@@ -79,16 +79,17 @@ def parsed(name: str) -> Name:
 
 
 def length_unit(names: list[Name]) -> Units | None:
-    """Return the unit of length that names of one position state, None if they state none.
+    """Return the unit of length that names state, None if none or several."""
+    found = {_UNITS.get(name.unit) for name in names}
+    return found.pop() if len(found) == 1 else None
 
-    Raises:
-        BadInputError: they state several.
-    """
-    found = [_UNITS.get(name.unit) for name in names]
-    if len({unit for unit in found if unit}) > 1:
-        stated = ", ".join(f"{name.leaf} in {unit}" for name, unit in zip(names, found, strict=True))
-        raise BadInputError(f"the columns of a position must be in one unit, found {stated}")
-    return found[0] if len(set(found)) == 1 else None
+
+def check_one_unit(where: str, names: list[Name]) -> None:
+    """Raise BadInputError if the names of a position state several units of length."""
+    stated = [name.unit for name in names if name.unit in _UNITS]
+    if len({_UNITS[unit] for unit in stated}) > 1:
+        found = ", ".join(f"{'.'.join((*name.words, name.leaf))} in {name.unit or 'none'}" for name in names)
+        raise BadInputError(f"demos {where}: the columns of a position must be in one unit, found {found}")
 
 
 def angle_unit(names: list[Name]) -> Angles | None:

@@ -27,6 +27,8 @@ _OF, _TO, _IN = ":", "..", " in "
 _LATEST_NS: Final = 1e9
 # No clock that began with the robot's program shows more [ns], and any that counts from 1970 does.
 _LONGEST_RUN_NS: Final = 1e18
+# A larger share of messages without a stamp, and stamps are no clock.
+_FEW: Final = 0.1
 
 
 def recognise(path: Path) -> str | None:
@@ -95,7 +97,7 @@ def _chosen(path: Path, what: str, names: list[str], declared: ImportSettings) -
     wanted = declared.pose
     left = [name for name in names if wanted is None or wanted in name]
     own = [name for name in left if wanted in (name, name.partition(_IN)[0], name.partition(_TO)[2])]
-    chosen = own or left
+    chosen = [name for name in left if name == wanted] or own or left
     if len(chosen) != 1:
         found = f"{len(chosen)}{'' if wanted is None else f' for {wanted!r}'}"
         raise BadInputError(
@@ -137,6 +139,9 @@ def _clock(stamped: Array, logged: Array) -> tuple[Array, np.ndarray, str]:
     back = float((np.maximum.accumulate(stamped[rows]) - stamped[rows]).max(initial=0.0))
     if not stamped.any():
         return logged, np.argsort(logged, kind="stable"), "logged, since messages are not stamped"
+    if unset.mean() > _FEW:
+        why = f"logged, since {int(unset.sum())} of {len(unset)} messages are not stamped"
+        return logged, np.argsort(logged, kind="stable"), why
     if back > _LATEST_NS:
         why = f"logged, since stamps go back by up to {1e-9 * back:.3g} s"
         return logged, np.argsort(logged, kind="stable"), why

@@ -76,17 +76,15 @@ def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array
             yield from _tables(kept[name], f"{prefix}{name}/")
         return
     raw = dict(_flat(kept))
-    # A clock (D, N) beside poses (D, N, k) has a row for each demonstration.
-    stacked = {value.shape[:2] for value in raw.values() if value.ndim == 3}
-    flat = {name: value if value.shape in stacked else _upright(value) for name, value in raw.items()}
+    flat = {name: _upright(value) for name, value in raw.items()}
     stacks = [name for name, value in flat.items() if value.ndim == 3 and value.shape[1:] not in ((4, 4), (3, 3))]
     if stacks and not any(value.ndim == 2 and value.shape[1] in (3, 4, 7) for value in flat.values()):
-        for index in range(len(flat[stacks[0]])):
-            yield (
-                f"{prefix}{stacks[0]}[{index}]",
-                {name: value[index] for name, value in flat.items() if len(value) == len(flat[stacks[0]])},
-                "",
-            )
+        stack = flat[stacks[0]]
+        # A clock (D, N) beside poses (D, N, k) has a row for each demonstration, however few they are.
+        beside = {name: raw[name] if raw[name].shape == stack.shape[:2] else value for name, value in flat.items()}
+        for index in range(len(stack)):
+            rows = {name: value[index] for name, value in beside.items() if len(value) == len(stack)}
+            yield f"{prefix}{stacks[0]}[{index}]", rows, ""
         return
     lengths = Counter(len(value) for value in flat.values() if len(value) > 1)
     if lengths:
