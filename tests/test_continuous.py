@@ -313,6 +313,17 @@ def test_every_face_gives_the_same(env_parts: EnvironmentParts) -> None:
             many.step(actions)
 
 
+def test_an_intent_that_turns_otherwise_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "tipping.hdf5"
+    write_hdf5(file, shown(recorded(tipping())))
+    given = ("task=demonstrated", f"demos={file}", "task.holdout=0", "actions=continuous", "intent.count=60")
+    full, straight = (api.load_config(*given, f"task.turning={turning}") for turning in ("full", "geodesic"))
+    fitted = api.fit(full, api.generate(full))
+    assert api.intent_reward(full, fitted).continuous
+    with pytest.raises(BadInputError, match=r"must turn as task demonstrated .* not in full, found the other"):
+        api.intent_reward(straight, fitted)
+
+
 @pytest.mark.slow
 def test_a_tool_that_tips_and_turns_back_is_learned(tmp_path: Path) -> None:
     file = tmp_path / "tipping.hdf5"

@@ -260,12 +260,18 @@ def make_env(
 
 
 def _check_intent(config: Configuration, fitted: Fitted) -> None:
-    """Raise BadInputError if an intent leads elsewhere than to the task's goal."""
+    """Raise BadInputError if an intent leads elsewhere than to the task's goal, or turns otherwise."""
     goal, found = config.task.goal, fitted.model.goal
     if not np.allclose(goal, found, atol=1e-9):
         raise BadInputError(
             f"the intent must be of task {config.task.name}, which ends at {goal.round(4).tolist()}, found one that"
             f" ends at {found.round(4).tolist()}"
+        )
+    turns = config.task.turns_in_full
+    if getattr(fitted.model.fitted, "in_full", turns) is not turns:
+        raise BadInputError(
+            f"the intent must turn as task {config.task.name} with its task.turning, {'' if turns else 'not '}in full,"
+            " found the other"
         )
 
 
