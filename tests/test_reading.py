@@ -102,7 +102,7 @@ def test_a_file_in_two_spellings_is_one_file(folder: Path, monkeypatch: pytest.M
             files_of([str(folder / "log_1.csv"), other])
 
 
-def test_own_hdf5_is_read_as_it_stands_but_can_be_cut(folder: Path) -> None:
+def test_own_hdf5_is_read_as_it_stands_but_can_be_cut(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     there_and_back = np.concatenate([arc(), np.repeat(arc()[-1:], 90, axis=0), arc()[::-1]])
     write_hdf5(folder / "motions.hdf5", shown(recorded(there_and_back, idle=20)))
     source = folder / "motions.hdf5"
@@ -116,6 +116,9 @@ def test_own_hdf5_is_read_as_it_stands_but_can_be_cut(folder: Path) -> None:
     needed = declared({"units": "cm", "orientation": [1, 0, 0, 0], "rate_hz": 50, "columns": ["x", "y", "z"]})
     both = read_demonstrations([source, folder / "other.npy"], "demonstrated", "UR5", declared=needed)
     assert len(both) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "motions.hdf5: read as it stands" in told
+    assert "import.rate_hz" in told
     whole = read_demonstrations(source, "demonstrated", "UR5", declared=declared({"cut": False}))
     cut = read_demonstrations(source, "demonstrated", "UR5", declared=declared({"cut": True}))
     assert len(whole) == len(cut) == 1

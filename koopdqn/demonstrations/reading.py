@@ -55,11 +55,14 @@ def read_files(sources: Sources, declared: ImportSettings, arm: Arm | None) -> l
         BadInputError: a file is missing, damaged, or something must be declared, or is and no file needs it.
     """
     read = [load(path, declared, arm) for path in files_of(sources)]
-    if declared.given() and all(each.own for each in read):
+    own = [each for each in read if each.own] if declared.given() else []
+    keys = ", ".join(f"import.{key}" for key in declared.given())
+    if own and len(own) == len(read):
         raise BadInputError(
-            f"import.{', import.'.join(declared.given())}: must be left out for {read[0].path}, which is read as it"
-            f" stands, being {read[0].kind}"
+            f"{keys}: must be left out for {own[0].path}, which is read as it stands, being {own[0].kind}"
         )
+    for each in own:
+        console.note(f"{each.path}: read as it stands, being {each.kind}; {keys} without effect on it")
     return read
 
 
