@@ -190,7 +190,7 @@ def check_task(what: str, found: Any, task: Settings) -> None:
     """Raise unless a file's metadata of its task, ``found``, is that of a task.
 
     Raises:
-        BadInputError: it is not; the keys that differ are named. ``what`` names the file.
+        BadInputError: it is not; the keys that differ are named, with both values. ``what`` names the file.
     """
     wanted = described(task)
     if found == wanted:
@@ -199,8 +199,14 @@ def check_task(what: str, found: Any, task: Settings) -> None:
     differing = sorted(key for key in wanted.keys() | known.keys() if known.get(key) != wanted.get(key))
     raise BadInputError(
         f"{what} must be of task {wanted['name']} with the present settings, found task {known.get('name', found)}"
-        f" (differing: {', '.join(differing)})"
+        f" (differing: {', '.join(_both(key, known.get(key), wanted.get(key)) for key in differing)})"
     )
+
+
+def _both(key: str, there: Any, here: Any) -> str:
+    """Return a key with both of its values, where they are single ones."""
+    plain = all(isinstance(each, bool | int | float | str) for each in (there, here))
+    return f"{key}, {shown(there)} there and {shown(here)} here" if plain else key
 
 
 def described(settings: Settings) -> dict[str, Any]:

@@ -82,4 +82,4 @@ def test_what_the_command_line_changes_stays_changed(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["eval", f"run={run}", "task.lip_m=0.005", f"out={tmp_path / 'eval'}"]) == 2
-    assert "differing: lip_m" in capsys.readouterr().err
+    assert "(differing: lip_m, 0.012 there and 0.005 here)" in capsys.readouterr().err

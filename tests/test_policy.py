@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +111,8 @@ def test_the_same_policy_gives_the_same_bytes(path: Path, parts: Parts) -> None:
 
 def test_the_policy_of_another_task_is_refused_with_what_differs(path: Path, parts: Parts) -> None:
     for changes in ({"name": "other"}, {"goal_tolerance_m": 0.004, "lip_m": 0.0}):
-        with pytest.raises(BadInputError, match=rf"\(differing: {', '.join(sorted(changes))}\)"):
+        both = [f"{key}, {getattr(parts.task, key)!r} there and {changes[key]!r} here" for key in sorted(changes)]
+        with pytest.raises(BadInputError, match=re.escape(f"(differing: {', '.join(both)})")):
             read_policy(path, with_fields(parts.task, **changes))
 
 
