@@ -21,6 +21,8 @@ from koopdqn.untrusted import check_targets
 
 FORMAT_VERSION = 1
 _KEY = "koopdqn"
+_FEW = 3
+"""So many keys that differ are told with their values."""
 _SHA = "arrays_sha256"
 _MOST_ARRAYS = 1000
 # The record that ends a zip file, and how much before it another kind of it may stand.
@@ -199,12 +201,13 @@ def check_task(what: str, found: Any, task: Settings) -> None:
     differing = sorted(key for key in wanted.keys() | known.keys() if known.get(key) != wanted.get(key))
     raise BadInputError(
         f"{what} must be of task {wanted['name']} with the present settings, found task {known.get('name', found)}"
-        f" (differing: {', '.join(_both(key, known.get(key), wanted.get(key)) for key in differing)})"
+        f" (differing: {', '.join(_both(key, known, wanted) if len(differing) <= _FEW else key for key in differing)})"
     )
 
 
-def _both(key: str, there: Any, here: Any) -> str:
+def _both(key: str, known: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Return a key with both of its values, where they are single ones."""
+    there, here = known.get(key), wanted.get(key)
     plain = all(isinstance(each, bool | int | float | str) for each in (there, here))
     return f"{key}, {shown(there)} there and {shown(here)} here" if plain else key
 

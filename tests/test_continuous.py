@@ -204,7 +204,7 @@ def test_questions_are_about_actions_with_a_name_the_suggestion_first(
     first = clerk.asked[0]
     assert first.candidates is not None
     assert first.candidates.shape == (FIRST_TWIST, 7)
-    assert screen.choices(first, workcell.task)[SUGGESTED].startswith("as the model")
+    assert screen.choices(first, workcell.task)[SUGGESTED].startswith("model's")
     assert screen.choosable(first, workcell.task)[SUGGESTED]
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_shown import arc, recorded
+from helpers_shown import arc, derivation, recorded
 from hypothesis import given
 from hypothesis import strategies as st
 from parts import load_parts
@@ -122,3 +122,8 @@ def test_a_run_is_told_to_place_and_keeps_the_placement(
     assert cli.main(["fit", *short, "demos.place=auto", "out=placed"]) == 0
     assert "about the base's vertical" in capsys.readouterr().err
     assert read_hdf5(tmp_path / "placed" / "demos.hdf5").placement is not None
+
+
+def test_what_is_learned_from_still_says_how_it_was_moved() -> None:
+    placement = Placement(np.array([0.02, -0.01, 0.03]), 0.2)
+    assert derivation().derive(placement.moved(shown())).training.placement is placement

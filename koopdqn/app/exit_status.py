@@ -13,6 +13,7 @@ from koopdqn.errors import KoopdqnError, WorkFailedError
 
 INTERRUPTED = 130
 """Exit status of a command ended by Ctrl-C, SIGTERM, or a terminal that was closed (SIGHUP)."""
+KEPT = "everything so far is kept"
 
 
 def open_missing_streams() -> set[str]:
@@ -55,15 +56,15 @@ def guard(work: Callable[[], int], *, debug: bool) -> int:
     try:
         with _interruptible(received):
             return work()
-    except (_Interruption, KeyboardInterrupt):
-        return _interrupted()
+    except (_Interruption, KeyboardInterrupt) as interruption:
+        return _interrupted(interruption)
     except BrokenPipeError:
         # the reader went away (`koopdqn ... | head`); the interpreter flushes stdout once more when it ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return WorkFailedError.exit_status
     except Exception as error:
         # a module in C that is interrupted while it is imported turns the interruption into an error of its own
-        return _interrupted() if received else _report(error, debug=debug)
+        return _interrupted(error) if received else _report(error, debug=debug)
 
 
 class _Interruption(BaseException):
@@ -74,11 +75,16 @@ class _Interruption(BaseException):
     """
 
 
-def _interrupted() -> int:
+def _interrupted(error: BaseException) -> int:
     # The terminal may be gone.
     with contextlib.suppress(OSError, ValueError):
-        console.note("koopdqn: interrupted; everything so far is kept")
+        console.note("; ".join(["koopdqn: interrupted", KEPT, *_notes(error)]))
     return INTERRUPTED
+
+
+def _notes(error: BaseException) -> list[str]:
+    """Return the notes of an exception: what goes on with the work."""
+    return list(getattr(error, "__notes__", []))
 
 
 def _report(error: Exception, *, debug: bool) -> int:
@@ -90,7 +96,7 @@ def _report(error: Exception, *, debug: bool) -> int:
         traceback.print_exception(error)
     known = error if isinstance(error, KoopdqnError) else explain(error)
     if known is not None and known.exit_status == INTERRUPTED:
-        console.note(f"koopdqn: {known}; everything so far is kept")
+        console.note("; ".join([f"koopdqn: {known}", KEPT, *_notes(known)]))
         return INTERRUPTED
     if known is not None:
         console.fail(str(known))

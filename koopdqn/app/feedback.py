@@ -23,6 +23,8 @@ feedback_app = typer.Typer(
 )
 AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON to standard output and nothing else.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+_NARROW = 80
+"""Columns below which a table leaves out what tells where in the training an answer was given."""
 _A_JOURNAL = "A journal (feedback.jsonl), or a run folder that holds one."
 Journals = Annotated[list[Path], typer.Argument(metavar="JOURNAL...", help=_A_JOURNAL, show_default=False)]
 
@@ -116,7 +118,8 @@ def edit(journal: Path, number: int, answer: str, teacher: str | None, *, drop_l
     if number < learned:
         console.warn(
             f"the run in {console.shown_path(path.parent)} has learned from answer {number} already and cannot go on;"
-            " train anew with oracle=replay and this journal, or with oracle=terminal and it to answer what is new"
+            " train anew with oracle=replay and this journal, or with oracle=terminal and it to answer what is new;"
+            " where later answers are to other questions than are then asked, --drop-later asks them anew"
         )
     elif not drop_later and number + 1 < len(read_records(path).items):
         console.note("later answers may be to other questions than the run now asks; --drop-later asks them anew")
@@ -173,14 +176,24 @@ def _answers(title: str, records: "Records") -> "Table":
         opinions = (f"{opinion.source}: {verdict(opinion.right)}" for opinion in item.opinions)
         return ", ".join([*["withdrawn"] * item.withdrawn, *["edited"] * item.edited, *opinions])
 
-    headings = ("number", "episode", "step", "action", "answer", "teacher", "seconds", "")
     left = ("action", "answer", "teacher", "")
-    table = console.table(headings, (), left, title=title, title_justify="left")
+    columns: tuple[str, ...] = ("number", "episode", "step", "action", "answer", "teacher", "seconds", "")
+    if console.out().width < _NARROW:
+        columns = ("number", *left)
+    table = console.table(columns, (), left, title=title, title_justify="left")
     for item in records.items:
         line = item.line
-        numbers = map(str, (line.number, line.episode, line.step))
-        cells = (*numbers, SHORT[line.action], _verdict(item), line.source, f"{line.seconds:.1f}", remarks(item))
-        table.add_row(*cells, style="dim" if item.withdrawn else None)
+        cells = {
+            "number": str(line.number),
+            "episode": str(line.episode),
+            "step": str(line.step),
+            "action": SHORT[line.action],
+            "answer": _verdict(item),
+            "teacher": line.source,
+            "seconds": f"{line.seconds:.1f}",
+            "": remarks(item),
+        }
+        table.add_row(*(cells[column] for column in columns), style="dim" if item.withdrawn else None)
     return table
 
 

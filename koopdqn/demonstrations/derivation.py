@@ -123,7 +123,7 @@ class Derivation(TaskChoice):
             *_ABOUT_ONE[: len(learned) == 1],
             *_about_odd(learned),
         )
-        training = Demonstrations(self.name, demonstrations.arm, moved)
+        training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
         return Derived(task, training, tuple(_oriented(item, goal, turning) for item in aside), notes)
 
     def kept_of(self, count: int) -> int:

@@ -30,6 +30,8 @@ STUDY: Final = "study"
 DEFAULT: Final = "default"
 PAPER: Final = "paper"
 PRESETS: Final = (DEFAULT, PAPER)
+SCRIPTED: Final = "scripted"
+"""Name of the oracle that answers in both presets."""
 TASKS: Final = ("shelf", "knife")
 """The paper's two tasks, in its order."""
 
@@ -171,14 +173,18 @@ Groups = Mapping[tuple[str, str], Sequence[Run]]
 def group_runs(runs: Sequence[Run], presets: Presets) -> tuple[Groups, list[LeftOut]]:
     """Return the runs that the report shows, in the paper's order, and those that it leaves out with the reason.
 
-    A run belongs to a preset if it has the preset's agent and intent. Of several configurations of one preset
-    the one shown is that of the present config tree, if there is one, or else that with most seeds, or else the
-    newest; of several runs of one seed an evaluated one, or else the newest.
+    A run belongs to a preset if it has the preset's agent and intent and the scripted demonstrator answered. Of
+    several configurations of one preset the one shown is that of the present config tree, if there is one, or else
+    that with most seeds, or else the newest; of several runs of one seed an evaluated one, or else the newest.
     """
     by_preset: dict[tuple[str, str], dict[str, list[Run]]] = {place: {} for place in presets}
     left_out = []
     for run in runs:
         names = run.task.name, run.train["agent"], run.train["intent"]
+        if run.train.get("oracle") not in (None, SCRIPTED):
+            reason = f"answered by oracle={run.train['oracle']}: every preset's answers are {SCRIPTED}"
+            left_out.append(LeftOut(folder=str(run.folder), reason=reason))
+            continue
         for place, preset in presets.items():
             if names == (preset.task.name, preset.agent.name, preset.intent.name):
                 by_preset[place].setdefault(configuration_key(run.about), []).append(run)

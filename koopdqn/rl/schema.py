@@ -52,6 +52,9 @@ class TrainReport(ReportModel):
     seed: NonNegativeInt = Field(description="of the run")
     agent: Name = Field(description="name of the agent's config option")
     intent: Name = Field(description="name of the intent's config option")
+    oracle: Name | None = Field(
+        default=None, description="name of the config option that answered last; null where an earlier koopdqn wrote it"
+    )
     learned: bool = Field(description="whether enough checks in a row were passed and quality stopped improving")
     learned_at_env_steps: NonNegativeInt | None = Field(description="actions tried by then; null if not learned")
     seconds: NonNegative = Field(description="duration of the run, all parts together [s]")

@@ -1,11 +1,13 @@
 """The dashboard: how a training goes, on a whole screen, redrawn in place."""
 
 import os
+import signal
+import threading
 from collections import deque
 from contextlib import ExitStack
 from time import monotonic
-from types import TracebackType
-from typing import Final
+from types import FrameType, TracebackType
+from typing import Any, Final
 
 import numpy as np
 from rich.console import Console, Group, RenderableType
@@ -83,6 +85,8 @@ class Dashboard:
         self._due = 0.0
         self._open = ExitStack()
         self._live: Live | None = None
+        self._handler: Any = None
+        self._stop_asked = False
 
     def __enter__(self) -> "Dashboard":
         """Take the screen."""
@@ -91,17 +95,25 @@ class Dashboard:
             redirect_stderr=False,
         )  # fmt: skip
         self._live = self._open.enter_context(live)
+        # Only the main thread may set handlers.
+        if hasattr(signal, "SIGTSTP") and threading.current_thread() is threading.main_thread():
+            self._handler = signal.signal(signal.SIGTSTP, self._ask_to_stop)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Give the screen back as it was."""
+        if self._handler is not None:
+            signal.signal(signal.SIGTSTP, self._handler)
+            self._handler = None
         self._live = None
         self._open.close()
 
     def round(self) -> None:
         """Draw anew if it is time to."""
+        if self._stop_asked and self._live is not None:
+            self._suspend(self._live)
         now = monotonic()
         if self._live is None or now < self._due:
             return
@@ -132,6 +144,19 @@ class Dashboard:
             Layout(Panel(self._picture(), title=f"paths ({_PLANES[self._plane]})", subtitle=_legend())),
         )
         return page
+
+    def _ask_to_stop(self, number: int, frame: FrameType | None) -> None:
+        # Rich may just be writing: the next round stops.
+        self._stop_asked = True
+
+    def _suspend(self, live: Live) -> None:
+        """Stop as Ctrl-Z asks, with the shell's own screen, and come back to this one."""
+        self._stop_asked = False
+        live.stop()
+        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGTSTP)
+        signal.signal(signal.SIGTSTP, self._ask_to_stop)
+        live.start()
 
     def _head(self) -> Text:
         trainer = self._trainer

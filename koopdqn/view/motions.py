@@ -61,6 +61,7 @@ class Motion:
         start: number of the held-out start that it begins at, or None.
         run: name of the run whose it is, where runs are compared.
         colour: in which its path is drawn; None: by its sources or kind.
+        fails: whether it is a policy's that does not succeed.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Motion:
     start: int | None = None
     run: str | None = None
     colour: str | None = None
+    fails: bool = False
 
     def baked(self, workcell_scene: Any) -> dict[str, Any]:
         """Return it as JSON values: frames are the poses shown, ``links`` the arm's in those that it reaches."""
@@ -83,6 +85,7 @@ class Motion:
             "name": self.name,
             "kind": self.kind,
             "remark": self.remark,
+            "fails": self.fails,
             "start": self.start,
             "run": self.run,
             "colour": self.colour,
@@ -159,7 +162,8 @@ def learned_motion(name: str, episode: Episode, task: Task, reference: Array | N
         remark += f" ({episode.detail})"
     remark += f" after {episode.steps} steps"
     strips = strips_of(episode.poses, task.goal, task, None if reference is None else reference[:, pose.POSITION])
-    return Motion(name, "learned", episode.poses, episode.joints, remark, strips, None, edge_of(episode.poses, task))
+    edge, fails = edge_of(episode.poses, task), episode.outcome != SUCCESS
+    return Motion(name, "learned", episode.poses, episode.joints, remark, strips, edge=edge, fails=fails)
 
 
 def nearest_motion(motions: Sequence[Motion], start: Array) -> Motion:

@@ -35,10 +35,10 @@ COLOURS: Final = {
     "learned": style.BLUE,
     "intent": style.GREY,
     "trust": style.BLUE,
-    "safe": style.GREEN,
-    "unsafe": style.RED,
+    "safe": "#8cc63f",
+    "unsafe": "#8b0000",
 }
-"""Of what the page draws, as hexadecimal codes."""
+"""Of what the page draws, as hexadecimal codes; an edge's two are none of a path's."""
 
 
 @dataclass(frozen=True)

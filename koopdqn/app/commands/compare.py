@@ -15,7 +15,7 @@ from koopdqn.app.commands.report import RUNS
 from koopdqn.app.commands.trained import TrainedRun, read_trained
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
-from koopdqn.app.hydra.record import GROUPS
+from koopdqn.app.hydra.record import GROUPS, read_record
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -37,8 +37,17 @@ if TYPE_CHECKING:
 
 PAGE: Final = "compare.html"
 _COLOURS: Final = (style.BLUE, style.GREEN, style.RED, style.PINK, style.SKY, style.INK)
-_SHAPING: Final = (*(group for group in GROUPS if group != "preset"), "seed", "demo", "reward", "feedback", "train")
+_SHAPING: Final = (
+    *(group for group in GROUPS if group not in ("preset", "oracle")),
+    "seed",
+    "demo",
+    "reward",
+    "feedback",
+    "train",
+)
 """Keys of the config that may change what is learned."""
+_ORACLE: Final = "scripted"
+"""Who answers where nothing else is said."""
 _LONGEST: Final = 60
 
 
@@ -99,6 +108,10 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     # As it was trained, where today's defaults differ.
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
     keys = _flat({key: known[key] for key in _SHAPING if key in known})
+    # Who answered is no part of the config that a trained run is read with.
+    asked = {item.key: str(item.value) for item in read_record(place, "a training run") if item.root == "oracle"}
+    told = read_report(place / TRAINING, "training report", TrainReport).get("oracle")
+    keys |= {**asked, "oracle": told or asked.get("oracle", _ORACLE)}
     trained = read_trained(own, place)
     keys["corrected"] = "yes" if isinstance(trained.policy, PolicyAround) else "no"
     keys["demonstrations (SHA-256)"] = trained.demonstrations.digest()[:12]

@@ -306,6 +306,21 @@ def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Pa
     return stored
 
 
+def check_intent_file(config: Configuration) -> None:
+    """Raise BadInputError if ``intent=FILE`` is damaged or of another task, before anything is made."""
+    if config.inputs.intent_file is not None:
+        read_intent(Path(config.inputs.intent_file), config.task)
+
+
+def as_fitted(config: Configuration, intent: StoredIntent) -> Configuration:
+    """Return a config with the settings that an intent and its trust domain were fitted with, whatever it had."""
+    own = {"intent": intent.settings, "trust": intent.trust.settings}
+    other = [name for name, settings in own.items() if described(settings) != described(getattr(config, name))]
+    if other:
+        console.note(f"{' and '.join(other)}: as the intent was fitted, from which the config differs")
+    return replace(config, intent=intent.settings, trust=intent.trust.settings)
+
+
 def reward_of(
     config: Configuration, workcell: Workcell, intent: StoredIntent | Fitted, trajectories: list[Array]
 ) -> IntentReward:

@@ -15,7 +15,7 @@ from koopdqn.app.commands.train import REPORT
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
-from koopdqn.errors import BadInputError
+from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
@@ -106,7 +106,12 @@ def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
     reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
     served = around(policy, reward.model)
     guard = Guard(workcell, config.guard, tube_of(served, reward.trust), reward.model.start_frame)
-    return make_program(workcell, served, settings, step_limit, placement, guard)
+    try:
+        return make_program(workcell, served, settings, step_limit, placement, guard)
+    except WorkFailedError as error:
+        if placement is None:
+            raise
+        raise WorkFailedError(f"{error}; program.frame=placed leaves it where demonstrations were moved to") from error
 
 
 def _check_formats(config: Configuration) -> None:

@@ -1,5 +1,6 @@
 """``koopdqn train``: learn the path."""
 
+import shlex
 from contextlib import closing, nullcontext
 from pathlib import Path
 from time import monotonic
@@ -9,7 +10,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.hydra.application import in_sweep
+from koopdqn.app.hydra.application import in_sweep, record_continued
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
@@ -38,15 +39,27 @@ BEGUN = "begun.json"
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Learn from given or new demonstrations, or go on with the run that the folder holds."""
+    try:
+        return _run(config, folder)
+    except BaseException as error:
+        error.add_note(_goes_on(folder))
+        raise
+
+
+def _run(config: Configuration, folder: Path) -> CommandResult:
     began = monotonic()
     config.oracle.check()
     _check_threads(config)
     _check_begun(config, folder)
+    pipeline.check_intent_file(config)
     check_memory(config.agent, size(config.task))
     check_device(config.agent)
     workcell = pipeline.open_scene(config)
     demonstrations = pipeline.demonstrations_for(config, workcell, folder)
+    if not (folder / BEGUN).exists():
+        write_json(folder / BEGUN, {"threads": config.train.threads})
     intent = pipeline.intent_for(config, demonstrations, folder)
+    config = pipeline.as_fitted(config, intent)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by)
@@ -72,6 +85,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         with reading(f"checkpoint {checkpoint_path(folder)}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
+        record_continued()
     dashboard = None
     if not config.oracle.shows_progress and not in_sweep() and fits(console.err()):
         poses = [item.poses for item in demonstrations.items]
@@ -95,6 +109,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     )
 
 
+def _goes_on(folder: Path) -> str:
+    return f"{shlex.join(['koopdqn', 'train', f'run={console.shown_path(folder)}'])} goes on"
+
+
 def _check_threads(config: Configuration) -> None:
     """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
     journal = getattr(config.oracle, "journal", None)
@@ -111,13 +129,12 @@ def _check_threads(config: Configuration) -> None:
 
 
 def _check_begun(config: Configuration, folder: Path) -> None:
-    """Raise if the folder's run was begun with another number of threads; a new run writes its own down.
+    """Raise if the folder's run was begun with another number of threads.
 
     A checkpoint says it too, but intent and answers may stand in the folder before the first one.
     """
     path = folder / BEGUN
     if not path.exists():
-        write_json(path, {"threads": config.train.threads})
         return
     content = read_json(path, "what the run was begun with")
     recorded = content.get("threads") if isinstance(content, dict) else None
@@ -149,6 +166,7 @@ def _learn(
 
         def on_check(check: Check) -> None:
             save_checkpoint(folder, trainer, shaped_by, monotonic() - began)
+            record_continued()
             events.check(check)
             stage.advance(0, _progress(trainer, check))
 
@@ -167,7 +185,8 @@ def _learn(
 
 def _progress(trainer: Trainer, check: Check | None) -> str:
     success = "no check yet" if check is None else f"success {check.success_rate:.0%} of held-out starts"
-    return f"{trainer.learner.updates} updates, {trainer.env_steps} actions, {trainer.questions} questions, {success}"
+    asked = console.counted(trainer.questions, "question")
+    return f"{trainer.learner.updates} updates, {trainer.env_steps} actions, {asked}, {success}"
 
 
 def train_report(config: Configuration, trainer: Trainer, seconds: float, made_from: dict[str, str]) -> dict[str, Any]:
@@ -179,6 +198,7 @@ def train_report(config: Configuration, trainer: Trainer, seconds: float, made_f
         "seed": config.inputs.seed,
         "agent": config.agent.name,
         "intent": config.intent.name,
+        "oracle": config.oracle.name,
         "learned": trainer.learned,
         "learned_at_env_steps": trainer.progress.learned_at if trainer.learned else None,
         "seconds": seconds,
@@ -218,12 +238,20 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
     return [
         f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
         f" {report['oracle_queries']} questions asked",
+        *_spent(trainer, folder),
         *_cut_short(trainer),
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / REPORT)}",
         f"training curve  {console.shown_path(folder / 'train.png')}",
     ]
+
+
+def _spent(trainer: Trainer, folder: Path) -> list[str]:
+    """Return a remark if training ended because no more questions may be asked."""
+    if trainer.learned or not trainer.feedback.stopped:
+        return []
+    return [f"stopped by oracle.budget={trainer.questions}: {_goes_on(folder)} with a larger one"]
 
 
 def _cut_short(trainer: Trainer) -> list[str]:

@@ -71,6 +71,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
             f"run {console.shown_path(source)}",
             f"{len(run.demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
             f"rule: {config.task.rule}",
+            *(f"{motion.name}: {motion.remark}" for motion in learned if motion.fails),
         ),
         cell.scene,
         [*learned, *shown],

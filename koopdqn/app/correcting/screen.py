@@ -16,7 +16,7 @@ from koopdqn.errors import KoopdqnError
 from koopdqn.oracles.base import PauseRequested
 from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.oracles.terminal.graphics import Window
-from koopdqn.oracles.terminal.screen import BOLD, DIM, GAP, GOAL, beside, framed, wrapped
+from koopdqn.oracles.terminal.screen import BOLD, DIM, GAP, GOAL, beside, framed, help_body, key_lines, wrapped
 from koopdqn.pose import Array
 from koopdqn.view.characters import Picture, Track
 
@@ -91,17 +91,18 @@ def compose(content: Shown, width: int, height: int) -> list[Text]:
     status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
     for line in status:
         line.truncate(width - 1, overflow="crop")
-    across, down = width - _TEXT_WIDTH - GAP, height - 1 - len(KEYS) - len(status)
+    keys = [] if content.help else key_lines(KEYS, width)
+    across, down = width - _TEXT_WIDTH - GAP, height - 1 - len(keys) - len(status)
     if across < _LEAST_PICTURE[0] or down < 2 * _LEAST_PICTURE[1]:
         across = 0
     if content.help:
-        body = [Text(line) for line in HELP]
+        body = help_body(HELP, width, down)
     else:
         left = _pictures(showing, across, down) if across else []
         body = beside(left, _right(content, _TEXT_WIDTH if across else width), across)
     moves = "playing" if showing.playing else "stopped"
     head = f" koopdqn  {content.task}   {showing.place:.3f} of {showing.length:.3f} m   {moves}"
-    return framed(head, body, KEYS, status, width, height)
+    return framed(head, body, keys, status, width, height)
 
 
 def _pictures(showing: Showing, across: int, down: int) -> list[Text]:

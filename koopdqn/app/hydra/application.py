@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 from koopdqn import console
 from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
+from koopdqn.app.hydra.record import RECORD
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
+from koopdqn.files import atomic_path
 from koopdqn.resources import conf_dir
 from koopdqn.run_folder import locked
 
@@ -55,6 +57,8 @@ class Job:
         folder = Path(hydra.runtime.output_dir)
         if not self.continues:
             require_new(folder, ignore=f"{hydra.job.name}.log")
+        global _continued
+        _continued = (config, list(hydra.overrides.task), folder) if self.continues else None
         with locked(folder):
             outcome = self.work(self.command, config, folder)
         number = int(hydra.job.num) if in_sweep() else 0
@@ -66,6 +70,28 @@ class Job:
                 console.say(line)
         objective: float | None = outcome.objective
         return objective
+
+
+_continued: "tuple[DictConfig, list[str], Path] | None" = None
+"""What the present job goes on with: its config, its overrides and the folder of the run."""
+
+
+def record_continued() -> None:
+    """Write down what a run goes on with, so that it does so another time too; a new run's is Hydra's to write.
+
+    To be called once the run is known to take it: what it refuses leaves the record alone.
+    """
+    from omegaconf import OmegaConf
+
+    global _continued
+    if _continued is None:
+        return
+    config, overrides, folder = _continued
+    _continued = None
+    with atomic_path(folder / RECORD) as path:
+        path.write_text(OmegaConf.to_yaml(OmegaConf.create(overrides)), encoding="utf-8")
+    with atomic_path(folder / RECORD.with_name("config.yaml")) as path:
+        path.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
 
 
 def run(

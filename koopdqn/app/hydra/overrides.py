@@ -80,7 +80,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
       bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
-      after them; the run folder is DIR and what ``DIR/.hydra`` holds is left alone. The record is data
+      after them; the run folder is DIR, whose record takes the new ones once the run has. The record is data
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps
       a copy of are read from there, wherever the files first given are by now. Where another oracle is
       given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.

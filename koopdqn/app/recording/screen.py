@@ -16,7 +16,19 @@ from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_te
 from koopdqn.oracles.terminal.graphics import Picture, Window
 from koopdqn.oracles.terminal.picture import BEFORE, WENT, Marks, WorkcellCamera
 from koopdqn.oracles.terminal.picture import GOAL as GOAL_COLOUR
-from koopdqn.oracles.terminal.screen import BOLD, DIM, GAP, GOAL, beside, framed, picture_lines, region, wrapped
+from koopdqn.oracles.terminal.screen import (
+    BOLD,
+    DIM,
+    GAP,
+    GOAL,
+    beside,
+    framed,
+    help_body,
+    key_lines,
+    picture_lines,
+    region,
+    wrapped,
+)
 from koopdqn.pose import Array
 from koopdqn.robot.render import Ghost, Image, Line
 from koopdqn.robot.view import View, choose_view
@@ -86,15 +98,16 @@ def compose(content: Shown, width: int, height: int, *, pictures: bool) -> list[
     place = region(width, height, pictures=pictures)
     # One short of the width: a character in the corner makes some terminals scroll.
     status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
-    room = height - 1 - len(KEYS) - len(status)
+    keys = [] if content.help else key_lines(KEYS, width)
+    room = height - 1 - len(keys) - len(status)
     if content.help:
-        body = [Text(line) for line in HELP]
+        body = help_body(HELP, width, room)
     else:
         left = picture_lines(content.picture, [_legend(place.width)], content.remark, place)[:room]
         body = beside(left, _right(content, width - place.width - (GAP if place.width else 0)), place.width)
     kept = len(content.recorder.state.kept)
     head = f" koopdqn  {content.recorder.task.name}   demonstration {kept}   {kept} kept"
-    return framed(head, body, KEYS, status, width, height)
+    return framed(head, body, keys, status, width, height)
 
 
 def _legend(width: int) -> Text:

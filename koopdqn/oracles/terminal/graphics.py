@@ -23,6 +23,10 @@ _SHADES: Final = " .:-=+*#%@"
 _LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 # Fewer colours, so that a picture holds fewer different characters; the eye does not see it at this size.
 _COLOUR_STEP: Final = 8
+_LETTERS: Final = 20
+"""Letters one above the other in the height of a picture."""
+_LETTER_COLOURS: Final = {"r": (255, 220, 60), "m": (90, 230, 255), "g": (80, 240, 130)}
+_WHITE: Final = (255, 255, 255)
 _MARK_COLOURS: Final = {"r": "bright_yellow", "m": "bright_cyan", "g": "bright_green"}
 
 
@@ -31,6 +35,28 @@ def resized(image: Image, width: int, height: int) -> Image:
     from PIL import Image as Pictures
 
     return np.asarray(Pictures.fromarray(image).resize((width, height), Pictures.Resampling.BOX))
+
+
+def lettered(image: Image, marks: Mapping[str, tuple[float, float]], caption: str = "") -> Image:
+    """Return a picture (height, width, 3) with marks on it, each at its share (0…1) of width and height.
+
+    A caption stands in its lower left corner.
+    """
+    from PIL import Image as Pictures
+    from PIL import ImageDraw, ImageFont
+
+    height, width, _ = image.shape
+    drawn = Pictures.fromarray(image)
+    pen = ImageDraw.Draw(drawn)
+    size = height / _LETTERS
+    font = ImageFont.load_default(size)
+    edge = {"font": font, "stroke_width": max(1, round(size / 10)), "stroke_fill": (0, 0, 0)}
+    for mark, (x, y) in marks.items():
+        if 0 <= x < 1 and 0 <= y < 1:
+            # Beside the dot, which it would hide.
+            pen.text((x * width + 0.5 * size, y * height), mark, _LETTER_COLOURS.get(mark, _WHITE), anchor="lm", **edge)
+    pen.text((0.5 * size, height - 0.5 * size), caption, _WHITE, anchor="lb", **edge)
+    return np.asarray(drawn)
 
 
 def block_lines(
@@ -246,10 +272,11 @@ class Window(Generic[Drawer]):
         place = picture.place
         at = f"\x1b[{place.top + 1};{place.left + 1}H"
         if self._graphics == "kitty":
-            return at + kitty(picture.image, place.width, place.rows)
+            return at + kitty(lettered(picture.image, picture.marks), place.width, place.rows)
         if self._graphics == "sixel":
             across, down = self.device.cell()
-            return at + sixel(resized(picture.image, place.width * across, place.rows * down))
+            fitted = resized(picture.image, place.width * across, place.rows * down)
+            return at + sixel(lettered(fitted, picture.marks))
         return ""
 
     def _encoded(self, lines: Sequence[Text], width: int, top: int = 1) -> str:

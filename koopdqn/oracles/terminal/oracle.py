@@ -15,7 +15,7 @@ from koopdqn.files import atomic_path
 from koopdqn.oracles.base import Answer, Oracle, PauseRequested, Question
 from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.device import Graphics
-from koopdqn.oracles.terminal.graphics import Picture, Window, png
+from koopdqn.oracles.terminal.graphics import Picture, Window, lettered, png
 from koopdqn.oracles.terminal.picture import Situation, SituationCamera
 from koopdqn.oracles.terminal.screen import Shown, compose, status_line
 from koopdqn.tasks.workcell import Workcell
@@ -70,7 +70,7 @@ class TerminalOracle(Oracle):
             self._repaint()
         pressed = self._window.device.keys(0.0)
         if "q" in pressed:
-            raise PauseRequested("paused; the same command with run= goes on")
+            raise PauseRequested("paused")
         note = "  (nothing is asked now: only q, pause, counts)" if pressed else ""
         self._say(f"Learning: {progress}{note}")
 
@@ -85,9 +85,12 @@ class TerminalOracle(Oracle):
             self._repaint()
 
     def _show(self, question: Question) -> None:
-        # Nobody can have meant this question before seeing it.
-        early = len(self._pressed) + len(self._window.device.keys(0.0))
+        # Nobody can have meant this question before seeing it; the key that pauses means none.
+        pressed = [*self._pressed, *self._window.device.keys(0.0)]
         self._pressed.clear()
+        if "q" in pressed:
+            raise PauseRequested("paused")
+        early = len(pressed)
         status = f"{early} typed ahead of the question: passed over" if early else self._answered
         self._shown = replace(self._shown, question=question, status=status, help=False)
         self._situation = None
@@ -118,7 +121,7 @@ class TerminalOracle(Oracle):
         if key == "u":
             return self._undo(question)
         if key == "q":
-            raise PauseRequested("paused; the same command with run= goes on")
+            raise PauseRequested("paused")
         if key == "p":
             self._save(question)
         elif key == "r":
@@ -154,9 +157,9 @@ class TerminalOracle(Oracle):
         path = self._folder / "questions" / f"{question.number:04d}.png"
         try:
             with closing(SituationCamera(self._workcell, _SAVED_SIZE, fine=True)) as camera:
-                image = camera.picture(question).image
+                drawn = camera.picture(question)
             with atomic_path(path) as temporary:
-                temporary.write_bytes(png(image))
+                temporary.write_bytes(png(lettered(drawn.image, drawn.marks, screen.legend(drawn.times).plain)))
         except KoopdqnError as error:
             self._say(str(error))
         else:
@@ -167,6 +170,7 @@ class TerminalOracle(Oracle):
         if whole is None or camera is None:
             self._say("there is no picture to replay")
             return
+        before = self._shown.status
         self._shown = replace(self._shown, status="the motion once more")
         for frame in range(_REPLAY_FRAMES):
             until = monotonic() + _REPLAY_SECONDS
@@ -176,6 +180,7 @@ class TerminalOracle(Oracle):
             if self._window.device.waits(max(until - monotonic(), 0.0)):
                 break
         self._situation = whole
+        self._shown = replace(self._shown, status=before)
         self._repaint()
 
     def _say(self, status: str) -> None:

@@ -1,5 +1,6 @@
 """The question screen: its words, and what stands where as lines of text for a size; it draws and asks nothing."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
@@ -16,20 +17,22 @@ from koopdqn.tasks.actions import COUNT, NAMES, legal_actions
 from koopdqn.tasks.task import Task
 
 SHORT: Final = (
-    "goal and turn",
+    "goal, turn",
     "goal",
     "turn",
-    "goal and turn more",
+    "goal, turn more",
     "+x",
     "-x",
     "+y",
     "-y",
     "+z",
     "-z",
-    "as the model",
+    "model's",
     "its own way",
 )
-"""All actions in a word or two, in the order of :data:`koopdqn.tasks.actions.NAMES`."""
+"""All actions in a word or two, in the order of :data:`koopdqn.tasks.actions.NAMES`.
+
+The first ten and the model's stand in two columns of the text's width."""
 CHOICE_KEYS: Final = "0123456789m"
 """The key that names each action as better; the last is there with continuous actions only."""
 _NOTHING_M: Final = 1e-6
@@ -38,9 +41,10 @@ ASPECT: Final = (4, 3)
 """Width to height of the picture."""
 GAP: Final = 2
 _TEXT_WIDTH: Final = 38
-_LEAST_PICTURE: Final = (24, 6)
+_LEAST_PICTURE: Final = (26, 6)
+_LEGEND_WIDTH: Final = 32
 _FRAME_ROWS: Final = 5
-"""The line at the top, the legend, two lines of keys and the line at the bottom."""
+"""Rows beside a picture's: the line at the top, the legend, two lines of keys and the line at the bottom."""
 
 DIM: Final = Style(dim=True)
 BOLD: Final = Style(bold=True)
@@ -64,11 +68,11 @@ _HELP: Final = (
     "       The arm asks again when it comes by",
     "p      a bigger picture, saved in the run folder",
     "r      the motion once more",
-    "q      pause; the same command with run=FOLDER goes on",
+    "q      pause; it says what goes on another time",
     "",
     "Every answer is on disk before the next question.",
     "The motion and the model's wish are drawn larger than they",
-    "are; the picture's legend says how many times.",
+    "are, by the number that stands behind what was moved.",
     "",
     "Any key goes back to the question.",
 )
@@ -131,19 +135,21 @@ def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Te
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
     question, named = shown.question, "0-9 m" if suggests(shown.question) else "0-9"
-    keys = (f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS)
+    keys = key_lines((f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS), width)
+    if shown.help:
+        keys = []
     room = height - 2 - len(keys)
     head = f" koopdqn  {shown.task.name}"
     if question is not None:
         left = "" if question.left is None else f", {question.left} left"
         head += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
     if shown.help:
-        body = [Text(line) for line in help_lines(question)]
+        body = help_body(help_lines(question), width, room)
     elif question is None:
         body = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
     else:
-        legend = [_legend(shown.times, place.width)] if shown.times else []
-        left_lines = picture_lines(shown.picture, legend, shown.remark, place)[:room]
+        legend_line = [legend(shown.times, place.width)] if shown.times else []
+        left_lines = picture_lines(shown.picture, legend_line, shown.remark, place)[:room]
         body = beside(left_lines, _right(shown, question, width, place, room), place.width)
     head = f"{head}   {console.visible(shown.teacher)}"
     return framed(head, body, keys, [status_line(shown.status, width)], width, height)
@@ -157,6 +163,25 @@ def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text],
     for line in lines:
         line.truncate(width, overflow="crop")
     return [*lines, *status]
+
+
+def key_lines(keys: Sequence[str], width: int) -> list[str]:
+    """Return lines that tell of keys, broken between two of them where they are too long."""
+    if all(len(line) <= width for line in keys):
+        return list(keys)
+    lines: list[str] = []
+    for key in (each for line in keys for each in re.split(" {2,}", line)):
+        if lines and len(lines[-1]) + 2 + len(key) <= width:
+            lines[-1] += f"  {key}"
+        else:
+            lines.append(key)
+    return lines
+
+
+def help_body(lines: Sequence[str], width: int, room: int) -> list[Text]:
+    """Return the help as lines of at most ``width`` characters, without empty ones where there is no room for them."""
+    body = [part for line in lines for part in (wrapped(line, width) if line else [Text("")])]
+    return body if len(body) <= room else [line for line in body if line]
 
 
 def picture_lines(picture: Sequence[Text], legend: Sequence[Text], remark: str, place: Region) -> list[Text]:
@@ -176,10 +201,10 @@ def status_line(status: str, width: int) -> Text:
     return line
 
 
-def _legend(times: float, width: int) -> Text:
-    text = Text.assemble(
-        ("b", BOLD), " before ", ("r", _WENT), " reached ", ("m", _MEANT), " model ", ("g", GOAL), " goal"
-    )
+def legend(times: float, width: int = 2 * _TEXT_WIDTH) -> Text:
+    """Return what the letters of a picture mean, and how many times as far as they are motions are drawn."""
+    words = (" before ", " reached ") if width >= _LEGEND_WIDTH else (" from ", " to ")
+    text = Text.assemble(("b", BOLD), words[0], ("r", _WENT), words[1], ("m", _MEANT), " model ", ("g", GOAL), " goal")
     for more in ("  xyz base axes", f"  motion drawn {times:.0f}x"):
         if len(text) + len(more) <= width:
             text += Text(more, style=DIM)
@@ -270,15 +295,15 @@ def nearer(question: Question, task: Task) -> str:
 
 
 def opinion(question: Question) -> str:
-    """Return how the intent model's wish differs from the action."""
+    """Return what the intent model wishes: how far, at what angle to the action's motion, and with what turn."""
     wish, went = ((end - question.pose)[pose.POSITION] for end in (question.predicted, question.reached))
     lengths = float(np.linalg.norm(wish)), float(np.linalg.norm(went))
     text = f"{1e3 * lengths[0]:.1f} mm"
     if min(lengths) > _NOTHING_M:
         cosine = float(np.clip(wish @ went / (lengths[0] * lengths[1]), -1.0, 1.0))
-        text += f", {np.degrees(np.arccos(cosine)):.0f}° off this motion"
+        text += f", {np.degrees(np.arccos(cosine)):.0f}° off it"
     turn = float(pose.rotation_distance(question.predicted, question.pose))
-    return text + (f", turning {np.degrees(turn):.1f}°" if np.degrees(turn) >= 0.05 else "")
+    return text + (f", turns {np.degrees(turn):.1f}°" if np.degrees(turn) >= 0.05 else "")
 
 
 def choices(question: Question, task: Task) -> list[str]:
