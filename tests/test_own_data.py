@@ -95,6 +95,18 @@ def test_training_and_evaluation_from_a_single_set_of_files(logs: Path, printed:
     assert holdout["hausdorff_mm"]["straight_line"][0] > holdout["hausdorff_mm"]["nearest_demonstration"][0]
 
 
+def test_what_was_declared_of_files_is_not_said_of_the_runs_own_copy(logs: Path, printed: Printed) -> None:
+    item = recorded(arc(), idle=20)
+    table = np.column_stack([item.times, item.poses])
+    table[:, 1:4] *= 1e3
+    np.savetxt(logs / "mm.csv", table, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
+    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
+    declared = ("import.units=mm", "demos=mm.csv")
+    assert cli.main(["train", "task=demonstrated", *declared, "out=run", *short]) in (0, 1)
+    assert printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")["episodes"] == 2
+    assert cli.main(["train", "run=run", "train.max_steps=4000"]) in (0, 1)
+
+
 def test_a_run_whose_task_is_made_otherwise_today_is_evaluated_with_its_own(
     logs: Path, printed: Printed, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,6 +17,7 @@ from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, f
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
+from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.detour import around_obstacles
@@ -63,7 +64,7 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
             f"demos: must name the files that task {recipe.name} is made from (one, several in brackets, or a glob)"
             ", found none"
         )
-    read = read_demonstrations(sources, recipe.name, config.robot, any_task=True, declared=config.import_)
+    read = read_demonstrations(sources, recipe.name, config.robot, any_task=True, declared=_declared(config))
     read = replace(read, held_out=recipe.kept_of(len(read)))
     derived = recipe.derive(read, continuous=config.agent.continuous)
     if recipe.place == "auto" and read.placement is None:
@@ -78,6 +79,11 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
     if keep and kept is not None and not kept.exists():
         write_hdf5(kept, read)
     return replace(config, derived=derived)
+
+
+def _declared(config: Configuration) -> ImportSettings:
+    """Return what is declared of the files that are given; of the copy that a folder keeps nothing is left to say."""
+    return config.import_ if config.inputs.demos else NOTHING
 
 
 def _placed(
@@ -197,7 +203,7 @@ def demonstrations_read(config: Configuration, sources: Sequence[str]) -> Demons
     Raises:
         BadInputError: a file is damaged or of another task, or the arm cannot reach all of it.
     """
-    demonstrations = read_demonstrations(sources, config.task.name, config.robot, declared=config.import_)
+    demonstrations = read_demonstrations(sources, config.task.name, config.robot, declared=_declared(config))
     _check_reach(config, demonstrations)
     return demonstrations
 
