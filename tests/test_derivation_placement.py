@@ -21,7 +21,8 @@ from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.tasks.workcell import Reachability, build_scene
+from koopdqn.tasks.obstacles import Obstacle
+from koopdqn.tasks.workcell import Reachability, build_scene, open_workcell
 
 PLACEMENTS = st.builds(
     lambda x, y, z, turn: Placement(np.array([x, y, z]), turn),
@@ -127,3 +128,18 @@ def test_a_run_is_told_to_place_and_keeps_the_placement(
 def test_what_is_learned_from_still_says_how_it_was_moved() -> None:
     placement = Placement(np.array([0.02, -0.01, 0.03]), 0.2)
     assert derivation().derive(placement.moved(shown())).training.placement is placement
+
+
+def test_the_arm_begins_in_a_posture_in_which_it_can_follow() -> None:
+    ends = np.linspace([0.4, 0.4, 0.2], [0.5, -0.6, 0.3], 300)
+    down = pose.make(ends, np.tile([0.0, 1.0, 0.0, 0.0], (300, 1)))
+    ur5 = load_parts().arm
+    task = derivation(place=None).derive(Demonstrations("demonstrated", "ur5", [recorded(down)] * 2)).task
+    cell = open_workcell(task, ur5)
+    for way in task.trajectories:
+        assert blocked_at(arm(), way)
+        assert not blocked_at(cell.reachability, way)
+    # What stands there now says nothing about how people went.
+    post = Obstacle(name="post", shape="box", center_m=(0.45, -0.1, 0.25), size_m=(0.02, 0.02, 0.02))
+    beside = open_workcell(task.model_copy(update={"obstacles": (post,)}), ur5).reachability
+    np.testing.assert_array_equal(beside.posture, cell.reachability.posture)

@@ -79,6 +79,11 @@ class DemonstratedTask(Task):
         return self._trajectories
 
     @property
+    def demonstrated(self) -> tuple[Array, ...]:
+        """The same, or nothing where the task was read from an artifact."""
+        return self._trajectories
+
+    @property
     def orientation(self) -> Literal["held", "learned"]:
         """Learned if the demonstrated turn is, in part or in full; otherwise held."""
         return "learned" if self.turning in ("geodesic", "full") else "held"

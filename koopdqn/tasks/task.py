@@ -1,6 +1,7 @@
 """The interface of a task: its poses, its scene, its person and its rule."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
@@ -122,6 +123,11 @@ class Task(TaskChoice):
     def turns_in_full(self) -> bool:
         """Whether turns about any axis are learned, as continuous actions make them, not those to the goal alone."""
         return False
+
+    @property
+    def demonstrated(self) -> Sequence[Array]:
+        """The demonstrations that define the task, poses (N, 7) each; none where it is defined without."""
+        return ()
 
     @abstractmethod
     def furnish(self, scene: "SceneBuilder") -> None:

@@ -1,6 +1,8 @@
 """The workcell: a task, the arm that does it, the scene it stands in, and which motions the arm can make there."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,6 +23,7 @@ REASONS: Final = (UNREACHABLE, JUMP, COLLISION)
 # A joint that turns more than this in a step of millimetres [rad] has changed to another solution of the inverse
 # kinematics.
 _JUMP = 0.5
+_EVERY: Final = 6
 
 
 @dataclass(frozen=True)
@@ -91,16 +94,18 @@ class Reachability:
 
         A joint with more than one turn begins in its middle turn, with room to both sides.
         """
+        for joints in self.postures(pose):
+            return Motion(joints)
         solutions = self.arm.solutions(pose, self.posture)
         if not len(solutions):
             return Motion(None, UNREACHABLE, self.arm.inverse(pose, self.posture).reason)
-        first = ""
-        for joints in solutions:
-            contact = self.scene.contact(joints)
-            if not contact:
-                return Motion(self._with_room(joints))
-            first = first or contact
-        return Motion(None, COLLISION, first)
+        return Motion(None, COLLISION, self.scene.contact(solutions[0]))
+
+    def postures(self, pose: Array) -> Iterator[Array]:
+        """Yield the joint angles (6,) [rad] at a pose (7,) that touch nothing, the nearest to the posture first."""
+        for joints in self.arm.solutions(pose, self.posture):
+            if not self.scene.contact(joints):
+                yield self._with_room(joints)
 
     def _with_room(self, joints: Array) -> Array:
         lower, upper = np.array(self.arm.joint_lower), np.array(self.arm.joint_upper)
@@ -128,6 +133,14 @@ class Reachability:
             path.append(motion.joints)
             motion = self.move(pose, motion.joints)
         return ([*path, motion.joints] if motion.joints is not None else path), motion
+
+    def follows(self, paths: Sequence[Array]) -> bool:
+        """Return whether the arm can follow all paths, poses (N, 7) each."""
+        # Coarsely first: faster, and stricter where joints are fast.
+        return all(
+            self.follow_as_far(path[::_EVERY])[1].joints is not None or self.follow_as_far(path)[1].joints is not None
+            for path in paths
+        )
 
     def flange_poses(self, joints: Array) -> Array:
         """Return the flange's poses (N, 7) at joint angles (N, 6) [rad], by MuJoCo."""
@@ -206,10 +219,26 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
         BadInputError: the scene does not compile, or the task's start or goal is not reachable in it.
     """
     scene = build_scene(task, arm)
-    posture = Reachability(arm, scene, arm.step_seconds).enter(task.nominal_start).joints
-    reachability = Reachability(arm, scene, arm.step_seconds, posture)
+    reachability = reachability_in(scene, task, arm)
     reachability.check(task)
     return Workcell(task, arm, scene, reachability)
+
+
+def reachability_in(scene: "Scene", task: Task, arm: Arm) -> Reachability:
+    """Return the arm in a task's scene, in the posture in which episodes begin.
+
+    That is the one at the nominal start that is nearest to the arm's home, or the nearest in which the arm can follow
+    every demonstration that defines the task, if there is one: another elbow may reach where this one does not.
+    """
+    nearest = Reachability(arm, scene, arm.step_seconds).enter(task.nominal_start).joints
+    first = () if nearest is None else (nearest,)
+    # Obstacles stand where demonstrations went.
+    clear = build_scene(task.without_obstacles(), arm) if task.obstacles and task.demonstrated else scene
+    others = Reachability(arm, clear, arm.step_seconds).postures(task.nominal_start)
+    for posture in chain(first, (other for other in others if not any(np.array_equal(other, each) for each in first))):
+        if Reachability(arm, clear, arm.step_seconds, posture).follows(task.demonstrated):
+            return Reachability(arm, scene, arm.step_seconds, posture)
+    return Reachability(arm, scene, arm.step_seconds, nearest)
 
 
 def build_scene(task: Task, arm: Arm) -> "Scene":

@@ -30,7 +30,7 @@ from koopdqn.robot.mjcf import MjcfArm
 from koopdqn.settings import TARGET, load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell
+from koopdqn.tasks.workcell import Reachability, Workcell, build_scene, open_workcell, reachability_in
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import Scene
@@ -108,11 +108,9 @@ def _check_followed(config: Configuration, task: DemonstratedTask) -> None:
 
 
 def _arm_in(config: Configuration, task: DemonstratedTask) -> Reachability:
-    """Return the arm in the task's scene, in the posture in which episodes begin if it can take the nominal start."""
-    # Obstacles stand where demonstrations went.
-    scene, seconds = build_scene(task.without_obstacles(), config.robot), config.robot.step_seconds
-    posture = Reachability(config.robot, scene, seconds).enter(task.nominal_start).joints
-    return Reachability(config.robot, scene, seconds, posture)
+    """Return the arm in the task's scene without obstacles, which stand where demonstrations went."""
+    clear = task.without_obstacles()
+    return reachability_in(build_scene(clear, config.robot), clear, config.robot)
 
 
 def as_trained(config: Configuration, run: Path) -> Configuration:

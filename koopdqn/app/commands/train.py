@@ -237,7 +237,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
     verdict = "learned" if report["learned"] else "NOT learned within the limits"
     return [
         f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
-        f" {report['oracle_queries']} questions asked",
+        f" {console.counted(report['oracle_queries'], 'question')} asked",
         *_spent(trainer, folder),
         *_cut_short(trainer),
         f"rewards that the demonstrator agrees with: {shown}",
