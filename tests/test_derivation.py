@@ -125,6 +125,16 @@ def test_what_tips_and_turns_back_is_done_by_the_person_and_foretold_in_full(par
         assert pose.position_distance(path[-1], task.goal) < 0.001
 
 
+def test_turns_that_ten_actions_leave_out_are_told() -> None:
+    tipped = shown(recorded(tipping()), recorded(tipping(0.02)))
+    geodesic = RECIPE.model_copy(update={"turning": "geodesic"})
+    told = "turn up to 40° farther from the goal's orientation on their way than they begin"
+    assert told in " ".join(geodesic.derive(tipped).notes)
+    assert told not in " ".join(RECIPE.derive(tipped, continuous=True).notes)
+    straight = shown(recorded(turned_by(arc(), 1.5)))
+    assert "farther from the goal's orientation" not in " ".join(geodesic.derive(straight).notes)
+
+
 def test_the_turn_of_the_knife_is_learned_from_its_demonstrations() -> None:
     from hydra import compose, initialize_config_dir
 

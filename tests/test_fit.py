@@ -224,3 +224,14 @@ def test_sixty_samples_are_foretold_in_the_start_frame_as_every_other(monkeypatc
     assert without is not None
     assert told["rms_m"] is not None
     assert told["rms_m"] < 0.6 * (without["rms_m"] or 0.0)
+
+
+def test_what_comes_back_over_the_same_place_is_told_by_the_length_of_the_way(parts: Parts) -> None:
+    def ratio(*ways: Array) -> float:
+        derived = derivation(holdout=0).derive(shown(*(recorded(way) for way in ways)))
+        found = fit(derived.training, derived.task, parts.intent, parts.trust, parts.reward)
+        return float(found.report["length_ratio"])
+
+    once = [arc(offset) for offset in (0.0, 0.02)]
+    assert ratio(*once) == pytest.approx(1.0, abs=0.05)
+    assert ratio(*(np.concatenate([way[:140], way[:140][::-1], way]) for way in once)) < 0.6

@@ -120,6 +120,7 @@ class Derivation(TaskChoice):
             _about_recordings(cut, smoothed, kept),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
+            *_about_turns_away(task),
             *_ABOUT_ONE[: len(learned) == 1],
             *_about_odd(learned),
         )
@@ -242,6 +243,17 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
     )
 
 
+def _about_turns_away(task: DemonstratedTask) -> list[str]:
+    left = [pose.rotation_distance(trajectory, task.goal) for trajectory in task.trajectories]
+    away = max(float(each.max() - each[0]) for each in left)
+    if task.turning != "geodesic" or away <= _AWAY_RAD:
+        return []
+    return [
+        f"demonstrations turn up to {np.degrees(away):.0f}° farther from the goal's orientation on their way than they"
+        " begin; the ten actions only turn toward it and leave that out, actions=continuous may turn in full"
+    ]
+
+
 def _about_odd(items: Sequence[Demonstration]) -> list[str]:
     beside = compare(items)
     return [
@@ -260,6 +272,8 @@ _EVERY = 6
 _TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 _OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
 _UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
+# Turning away by less is how people turn: up to 7° in the sets at hand.
+_AWAY_RAD = np.radians(15)
 # The turn that counts as 0.1 m when sorting placements by size.
 _TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
 

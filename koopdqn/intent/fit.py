@@ -277,6 +277,7 @@ def fit(
         "converges": region.demonstrated == 1.0,
         "converging_share": region.demonstrated,
         "converging_share_wide": region.wide,
+        "length_ratio": length_ratio(model, trajectories, task),
         "ridge": found.ridge,
         "regularisation": [
             {"ridge": ridge, "multi_step_error_m": error} for ridge, error in sorted(found.multi_step.items())
@@ -338,6 +339,26 @@ def _per_step(sizes: list[Array]) -> dict[str, list[float]] | None:
         "mean": [float(np.mean(values)) for values in at_step],
         "max": [float(np.max(values)) for values in at_step],
     }
+
+
+def length_ratio(model: IntentModel, trajectories: list[Array], task: Task) -> float:
+    """Return how long the model's own way to the goal is, in shares of the demonstration from the same start: a median.
+
+    Where demonstrations come back over the same place only the last passage is learned, and the way is shorter.
+
+    Args:
+        model: the model.
+        trajectories: demonstrated poses (N, 7) in the model's start frame.
+        task: gives step, goal and its tolerance.
+    """
+    starts = np.array([trajectory[0] for trajectory in trajectories])
+    limit = 2 * max(len(trajectory) for trajectory in trajectories)
+    paths = model.roll_out(starts, limit, task.step_m)
+    there = pose.position_distance(paths, task.goal) <= task.goal_tolerance_m
+    steps = np.where(there.any(axis=0), there.argmax(axis=0), limit)
+    ways = [task.step_m * count for count in steps]
+    lengths = [arc_lengths(trajectory[:, pose.POSITION])[-1] for trajectory in trajectories]
+    return float(np.median(np.array(ways) / np.array(lengths)))
 
 
 def unmatched_share(trajectories: list[Array], task: Task) -> float:

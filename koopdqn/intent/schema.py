@@ -167,6 +167,12 @@ class FitReport(ReportModel):
     converging_share_wide: Fraction = Field(
         description="the same for 20 starts three times as far from the middle of the start region"
     )
+    length_ratio: NonNegative | None = Field(
+        default=None,
+        description="how long the model's own way to the goal is, in shares of the demonstration from the same start, a"
+        " median: where demonstrations come back over the same place only the last passage is learned; null where an"
+        " earlier koopdqn wrote it",
+    )
     ridge: NonNegative = Field(description="λ of the fitted model")
     regularisation: list[RidgeError] = Field(
         description="every candidate λ with its error on left-out demonstrations; empty for a single one"

@@ -33,11 +33,6 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             "one demonstration: none can be left out, so no error is measured and the tube has a fixed radius without"
             " calibrated coverage"
         )
-    if not report["converges"]:
-        lines.append(
-            "the model does not converge: followed from the demonstrated region it comes to the goal from"
-            f" {report['converging_share']:.1%} of the starts only"
-        )
     lines += [
         f"intent   {console.shown_path(folder / pipeline.INTENT)}",
         f"report   {console.shown_path(folder / 'fit.json')}",

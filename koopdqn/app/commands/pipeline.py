@@ -1,6 +1,6 @@
 """The pipeline that commands share: each stage makes what is missing and keeps it in the run folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 DEMONSTRATIONS = "demos.hdf5"
 INTENT = "intent.npz"
 POLICY = "policy.safetensors"
+_SHORT = 0.8
+"""A model's way that is so much shorter than the demonstrations leaves part of them out; people's that do not come back
+over the same place are at 0.92 and more."""
 
 
 def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Configuration:
@@ -279,12 +282,28 @@ def fitted_intent(
         fitted = fit(
             demonstrations, config.task, config.intent, config.trust, config.reward, lambda done: stage.advance(), fresh
         )
+    for line in _doubts(fitted.report):
+        console.warn(line)
     stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
     write_json(folder / "fit.json", fitted.report)
     plot_fit(folder / "fit.png", fitted, demonstrations, config.task)
     # Last, since a run that goes on takes this file as the sign that all was made.
     stored.write(folder / INTENT, config.task)
     return stored, fitted
+
+
+def _doubts(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a fit's report says against learning from it."""
+    if not report["converges"]:
+        yield (
+            "the model does not converge: followed from the demonstrated region it comes to the goal from"
+            f" {report['converging_share']:.1%} of the starts only"
+        )
+    if report["length_ratio"] < _SHORT:
+        yield (
+            f"the model's own way to the goal is {report['length_ratio']:.0%} as long as the demonstrations: where they"
+            " come back over the same place, all but the last passage is left out; cut them into motions that do not"
+        )
 
 
 def intent_for(config: Configuration, demonstrations: Demonstrations, folder: Path) -> StoredIntent:
