@@ -26,6 +26,16 @@ def test_mujoco_and_the_closed_form_agree_where_the_flange_is(workcell: Workcell
         assert pose.rotation_distance(seen, computed) < 1e-9
 
 
+def test_an_arms_own_lengths_are_those_of_the_scene(arm: URArm) -> None:
+    lengths = {"d1": 0.091, "a2": -0.4261, "a3": -0.3915, "d4": 0.111, "d5": 0.0952, "d6": 0.0853}
+    calibrated = arm.model_copy(update=lengths)
+    scene = SceneBuilder(calibrated).build()
+    for joints in np.random.default_rng(0).uniform(-2 * np.pi, 2 * np.pi, (20, 6)):
+        seen, computed = scene.flange_pose(joints), calibrated.forward(joints)
+        assert pose.position_distance(seen, computed) < 1e-9
+        assert pose.rotation_distance(seen, computed) < 1e-9
+
+
 def test_the_room_is_no_larger_than_the_distance_between_tool_and_furniture(workcell: Workcell) -> None:
     scene, most = workcell.scene, 0.05
     model, collides = scene.model, scene.model.geom_contype > 0

@@ -359,7 +359,8 @@ def test_forward_refuses_other_numbers_of_joints() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"a2": 0.0}, "a2: must be a length other than 0 m, found 0.0"),
+        ({"a2": 0.0}, "a2: must be below 0 m, as in the maker's table, found 0.0"),
+        ({"a3": 0.39}, "a3: must be below 0 m, as in the maker's table, found 0.39"),
         ({"joint_names": ["a"] * 6}, "joint_names: must be 6 different names"),
         ({"velocity_limits": [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]}, "velocity_limits: must be above 0 rad/s, found 0.0"),
         ({"torque_limits": [1.0, 1.0, -2.0, 1.0, 1.0, 1.0]}, "torque_limits: must be above 0 Nm, found -2.0"),

@@ -1,6 +1,6 @@
 """What an arm is for the rest of the program: its names, its limits and its kinematics."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -27,6 +27,15 @@ class InverseResult:
     rotation_residual: float
     success: bool
     reason: str
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """An arm whose own lengths say where bodies of its MJCF file stand, whatever the file says."""
+
+    @property
+    def link_positions(self) -> Mapping[str, Sequence[float]]:
+        """Positions (3,) [m] of bodies by their names, each in its parent's frame."""
 
 
 @runtime_checkable

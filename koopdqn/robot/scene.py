@@ -12,7 +12,7 @@ from koopdqn import pose
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.pose import Array
 from koopdqn.resources import asset_path
-from koopdqn.robot.arm import Arm
+from koopdqn.robot.arm import Arm, Calibrated
 
 _ARENA = "arena.xml"
 _FLOOR = "floor"
@@ -33,6 +33,8 @@ class SceneBuilder:
         for key in self._robot.find_all("key"):
             key.remove()
         _spare_mounting(self._robot)
+        for name, position in (arm.link_positions if isinstance(arm, Calibrated) else {}).items():
+            self._named("body", name).pos = position
         self._arena.attach(self._robot)
         self._tool = mjcf.RootElement(model=_TOOL)
         # A controller that knows its payload carries its weight, as a real UR does.

@@ -105,8 +105,8 @@ class URArm(Settings):
     @model_validator(mode="after")
     def _check(self) -> "URArm":
         for key, length in (("a2", self.a2), ("a3", self.a3)):
-            if length == 0.0:
-                raise ValueError(f"{key}: must be a length other than 0 m, found {length}")
+            if length >= 0.0:
+                raise ValueError(f"{key}: must be below 0 m, as in the maker's table, found {length}")
         for key in ("d1", "a2", "a3", "d4", "d5", "d6"):
             if abs(getattr(self, key)) > _LONGEST_M:
                 raise ValueError(f"{key}: must be within {_LONGEST_M:g} m, found {getattr(self, key)}")
@@ -131,6 +131,17 @@ class URArm(Settings):
     def mjcf(self) -> Path:
         """Path of the arm's MJCF file; BadInputError if it is not installed."""
         return asset_path(self.asset)
+
+    @property
+    def link_positions(self) -> dict[str, tuple[float, float, float]]:
+        """Positions [m] of the MJCF file's bodies by the Denavit–Hartenberg table."""
+        return {
+            "shoulder_link": (0.0, 0.0, self.d1),
+            "forearm_link": (self.a2, 0.0, 0.0),
+            "wrist_1_link": (self.a3, 0.0, self.d4),
+            "wrist_2_link": (0.0, -self.d5, 0.0),
+            "wrist_3_link": (0.0, self.d6, 0.0),
+        }
 
     def forward(self, joints: ArrayLike) -> Array:
         """Return the flange poses (..., 7) in Base of joint angles (..., 6) [rad].
