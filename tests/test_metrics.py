@@ -188,7 +188,9 @@ def test_means_are_over_episodes_and_maxima_over_all() -> None:
 
 def test_deviations_are_over_all_episodes_and_over_the_successful_ones() -> None:
     reference, gaps, outcomes = line((0, 0, 0), (0.4, 0, 0), 50), [0.001, 0.003, 0.010], [SUCCESS, SUCCESS, "stuck"]
-    episodes = [episode(line((0, gap, 0), (0.4, gap, 0), 81), outcome) for gap, outcome in zip(gaps, outcomes, strict=True)]
+    episodes = [
+        episode(line((0, gap, 0), (0.4, gap, 0), 81), outcome) for gap, outcome in zip(gaps, outcomes, strict=True)
+    ]
     report = measured([episode(reference[:1]), *episodes], [reference] * 4)
     alone = measured(episodes[:2], [reference] * 2)
     assert report.lateral_deviation_mm.max == pytest.approx(10.0)
