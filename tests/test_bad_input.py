@@ -108,7 +108,8 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
         ("oracle=crowd", "unknown option of oracle 'crowd'; valid: "),
         ("out=~nobody_of_that_name/x", "must name a home folder, found '~nobody_of_that_name/x'"),
         ("out=/dev/null", "out: must name a folder that can be written, found '/dev/null'"),
-        ("demos=some.hdf5", "demos: koopdqn demo reads no such file or folder, found 'some.hdf5'"),
+        ("demos=some.hdf5", "demos: must be left out, as koopdqn demo does not take it, found 'some.hdf5'; taken by: "),
+        ("task=demonstrated", "found one that is made from demonstrations; valid: both_sides, knife, shelf"),
     ],
 )
 def test_a_bad_setting_is_named_with_its_rule(capsys: pytest.CaptureFixture[str], override: str, expected: str) -> None:
@@ -234,9 +235,10 @@ def test_inputs_that_do_not_belong_together_are_refused(made: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("command", "inputs", "expected"),
     [
-        ("fit", ("intent={run}/intent.npz",), "intent: koopdqn fit reads no such file or folder"),
-        ("fit", ("run={run}",), "run: koopdqn fit reads no such file or folder"),
-        ("eval", ("run={run}", "demos={run}/demos.hdf5"), "demos: koopdqn eval reads no such file or folder"),
+        ("fit", ("intent={run}/intent.npz",), "intent: must be left out, as koopdqn fit does not take it"),
+        ("fit", ("run={run}",), "run: must be left out, as koopdqn fit does not take it"),
+        ("report", ("run={run}",), "taken by: compare, correct, demo, eval, explain, export, stream, train, view"),
+        ("eval", ("run={run}", "demos={run}/demos.hdf5"), "demos: must be left out, as koopdqn eval does not take it"),
         ("export", ("run={run}", "demos={run}/demos.hdf5"), "demos: koopdqn export takes either run= or demos="),
         ("correct", ("run={run}", "waypoints=[]"), "waypoints: must have at least 1 item"),
         ("correct", ("run={run}", "waypoints=/dev/null"), "must be a list of positions or a CSV file of them"),

@@ -55,6 +55,7 @@ def test_runs_stand_in_one_table_and_their_paths_on_one_page(
     assert [(each["label"], each["folder"]) for each in content["runs"]] == [("A", str(runs[0])), ("B", str(runs[1]))]
     assert [each["evaluation"] is None for each in content["runs"]] == [True, False]
     assert content["runs"][1]["success_rate"] is not None
+    assert [each["episodes"] for each in content["runs"]] == [None, 2]
     # The inputs are the same, so that what was given by hand differs and nothing else.
     keys = {each["key"]: each["values"] for each in content["differences"]}
     assert keys == {"seed": ["0", "7"], "agent.gamma": ["0.5", "0.4"]}
@@ -102,6 +103,7 @@ def test_headings_are_whole_words_at_80_columns(
     assert cli.main(["compare", *named, "view.starts=1", "eval.episodes=2", f"out={tmp_path}/out"]) == 0
     told = capsys.readouterr().out
     assert "…" not in told
+    assert re.search(r"\d% of 2 ", told)
     assert re.search(r"run +learned +time \[s\] +actions +questions +success +deviation +reached", told)
     assert [f"run {label}  {run}" for label, run in zip("AB", runs, strict=True)] == told.splitlines()[:2]
 

@@ -2,15 +2,15 @@
 
 import json
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers_shelf import reward_of, shelf, taught
 from pydantic import BaseModel, ValidationError
 from rich.console import Console
+from rich.table import Table
 
-from koopdqn.app.commands.eval import table
+from koopdqn.app.commands.eval import holdout_table, off, table
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation import schema
 from koopdqn.evaluation.baselines import Greedy
@@ -155,15 +155,15 @@ def test_the_schema_refuses_what_cannot_be(key: str, value: object) -> None:
         EvaluationReport.model_validate({**whole().report, key: value})
 
 
-def printed(report: dict[str, Any], width: int) -> str:
+def printed(shown: Table, width: int) -> str:
     console = Console(width=width, color_system=None)
     with console.capture() as capture:
-        console.print(table(report))
+        console.print(shown)
     return capture.get()
 
 
 def test_the_table_has_a_row_per_method_and_fits_100_columns() -> None:
-    text = printed(whole().report, 100)
+    text = printed(table(whole().report), 100)
     assert max(len(line) for line in text.splitlines()) <= 100
     assert "…" not in text
     rows = [text.index(name) for name in ("policy", "straight", "greedy", "nearest")]
@@ -175,9 +175,39 @@ def test_the_table_without_baselines_and_without_numbers_is_one_row_of_dashes() 
     report = evaluated(SHORT).report
     report["path_deviation_mm"] = dict.fromkeys(report["path_deviation_mm"])
     report["tube_fraction"] = None
-    text = printed(report, 100)
+    text = printed(table(report), 100)
     assert "greedy" not in text
     assert "– / – mm" in text
+
+
+def test_the_table_of_held_out_demonstrations_fits_80_columns() -> None:
+    report = whole().report
+    far = {**report, "path_deviation_mm": {"mean": 270.5, "p95_of_max": 519.0}}
+    names = ("policy", *report["baselines"])
+    holdout = {"demonstrations": 1, "policy": far, "baselines": report["baselines"]}
+    report = {**report, "holdout": {**holdout, "hausdorff_mm": {name: [515.9] for name in names}}}
+    text = printed(holdout_table(report), 80)
+    assert "…" not in text
+    assert "failures" in text
+    assert "515.9 / 515.9" in text
+
+
+@pytest.mark.parametrize(
+    ("continuous", "ratio", "told"),
+    [(True, 0.79, True), (True, 0.81, False), (True, 1.26, True), (False, 1.26, False), (False, 1.74, True)],
+)
+def test_a_length_far_off_is_told(continuous: bool, ratio: float, told: bool) -> None:
+    method = {"turn": None, "rotation_deviation_deg": {"mean": 0.0, "max": 0.0}, "path_length_ratio": ratio}
+    line = f"path length     {ratio:.2f} times that of hers on average"
+    assert off(method, "hers", continuous=continuous) == [line] * told
+
+
+def test_a_turn_is_told_where_one_is_learned_and_has_a_reference() -> None:
+    turn: dict[str, object] = {"half_before_third": None, "while_moving": {}}
+    method = {"turn": turn, "rotation_deviation_deg": {"mean": 38.43, "max": 104.4}, "path_length_ratio": None}
+    assert off(method, "hers", continuous=True) == ["turn            38.4° off that of hers on average, 104° at most"]
+    assert not off({**method, "turn": None}, "hers", continuous=True)
+    assert not off({**method, "rotation_deviation_deg": {"mean": None, "max": None}}, "hers", continuous=True)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from small_run import SMALL
 
 from koopdqn import console, pose
 from koopdqn.app import cli
+from koopdqn.app.commands import explain
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.intent.bend import Bend
 from koopdqn.intent.reward import ActionEvaluation
@@ -220,6 +222,28 @@ def test_what_cannot_be_explained_is_refused_in_one_line(
 ) -> None:
     assert cli.main(["explain", f"run={run}", "eval.episodes=12", argument, f"out={tmp_path}/a"]) == 2
     assert expected in capsys.readouterr().err.strip().splitlines()[-1]
+
+
+@pytest.mark.parametrize(("outcome", "left_out"), [(SUCCESS, 1), (STUCK, 1), (RULE_BROKEN, 1), (STEP_LIMIT, 0)])
+def test_a_pose_from_which_no_action_follows_is_not_explained(
+    run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    outcome: str,
+    left_out: int,
+) -> None:
+    found = explain._episode
+
+    def ended(*given: Any) -> tuple[int, Episode]:
+        number, episode = found(*given)
+        return number, replace(episode, outcome=outcome)
+
+    monkeypatch.setattr(explain, "_episode", ended)
+    last = explained(run, tmp_path / "a", capsys, "start=1")["steps"] - left_out
+    assert explained(run, tmp_path / "b", capsys, "start=1", f"step={last}")["step"] == last
+    assert cli.main(["explain", f"run={run}", "start=1", f"step={last + 1}", f"out={tmp_path}/c"]) == 2
+    assert f"must be at most {last}, the last step of this path, found {last + 1}" in capsys.readouterr().err
 
 
 def test_its_own_keys_need_no_prefix_and_those_of_others_stay(run: Path) -> None:

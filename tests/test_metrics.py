@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.evaluation.metrics import SAMPLES, deviations, measure, reference_paths, resampled, wilson_interval
+from koopdqn.evaluation.metrics import (
+    SAMPLES,
+    deviations,
+    measure,
+    reference_paths,
+    resampled,
+    turn_report,
+    wilson_interval,
+)
 from koopdqn.evaluation.schema import MethodReport
 from koopdqn.paths import discrete_frechet
 from koopdqn.pose import Array
@@ -176,6 +184,32 @@ def test_means_are_over_episodes_and_maxima_over_all() -> None:
     assert report.path_deviation_mm.frechet == pytest.approx(4.0)
     assert report.path_length_ratio == pytest.approx(1.0)
     assert (report.steps.mean, report.steps.max) == (80, 80)
+
+
+def test_deviations_are_over_all_episodes_and_over_the_successful_ones() -> None:
+    reference, gaps, outcomes = line((0, 0, 0), (0.4, 0, 0), 50), [0.001, 0.003, 0.010], [SUCCESS, SUCCESS, "stuck"]
+    episodes = [
+        episode(line((0, gap, 0), (0.4, gap, 0), 81), outcome) for gap, outcome in zip(gaps, outcomes, strict=True)
+    ]
+    report = measured([episode(reference[:1]), *episodes], [reference] * 4)
+    alone = measured(episodes[:2], [reference] * 2)
+    assert report.lateral_deviation_mm.max == pytest.approx(10.0)
+    assert report.successful is not None
+    assert report.successful.lateral_deviation_mm.max == pytest.approx(3.0)
+    assert report.successful == alone.successful
+    for key, value in report.successful:
+        assert value == getattr(alone, key)
+    assert measured(episodes[2:], [reference]).successful is None
+
+
+def test_a_path_that_does_not_turn_has_no_turn_to_tell() -> None:
+    goal = shelf().task.goal
+    kept = pose.make(np.linspace(goal[:3] + 0.3, goal[:3], 50), goal[3:])
+    kept[1:, 3:] = pose.multiply(pose.from_rotation_vector([1e-6, 0.0, 0.0]), kept[1:, 3:])
+    assert turn_report([kept], shelf().task).model_dump() == {
+        "half_before_third": None,
+        "while_moving": dict.fromkeys(("mean", "min", "max")),
+    }
 
 
 def test_a_demonstrators_own_path_is_perfect() -> None:

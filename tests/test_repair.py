@@ -30,7 +30,7 @@ def test_an_edit_is_a_new_line_and_the_run_is_told_the_new_answer(tmp_path: Path
     before = path.read_bytes()
     change(path, 1, "7")
     assert path.read_bytes().startswith(before)
-    assert read_lines(path)[-1]["kind"] == "edit"
+    assert [read_lines(path)[-1][key] for key in ("kind", "source")] == ["edit", "editor"]
     oracle = JournalledOracle(Clerk(), path, 0)
     told = [oracle.answer(question(number)) for number in range(3)]
     assert [(answer.right, answer.better) for answer in told] == [(True, None), (False, 7), (None, None)]

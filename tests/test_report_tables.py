@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from parts import Parts
 
     from koopdqn.demonstrations.dataset import Demonstrations
-    from koopdqn.report.runs import Groups, Presets
+    from koopdqn.report.runs import Groups, Presets, Run
 
 ABLATION = {"overrides": ["intent=line"], "learned": True, "episodes": 10, "oracle_queries": 3}
 ABLATION |= {"success_rate": 0.5, "deviation_mm": None}
@@ -72,6 +72,20 @@ def test_means_and_ranges_are_over_all_seeds_and_what_failed_counts(groups: "Gro
     assert row["questions"] == "12 (12–13)"
     assert row["time [s]"] == "10 (10–11)"
     assert len(tables.shown_runs(groups).rows) == 2
+
+
+def test_what_it_took_to_learn_ends_there_and_leaves_out_what_never_learned(groups: "Groups") -> None:
+    (place, runs), *_ = groups.items()
+    learned, never = sorted(runs, key=lambda run: not run.train["learned"])
+    further = replace(learned, train={**learned.train, "env_steps": 81000, "episodes": 180, "seconds": 30.0})
+
+    def shown(*found: "Run") -> list[str]:
+        rows = {row[0].text: row[2].text for row in tables.comparison({place: found}, {}).rows}
+        return [rows["shelf: episodes to learn"], rows["shelf: minutes to learn"]]
+
+    assert shown(learned, never) == ["60", "0.17"]
+    assert shown(learned, further) == ["60", "0.17"]
+    assert shown(never) == ["–", "–"]
 
 
 def test_the_papers_numbers_stand_as_it_gives_them(groups: "Groups", presets: "Presets") -> None:

@@ -77,7 +77,10 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
 
 
 def open_workcell(config: Configuration) -> Workcell:
-    """Return task, arm and compiled MuJoCo scene.
+    """Return task, arm and compiled MuJoCo scene, in which starts are drawn and moves are tried.
+
+    Args:
+        config: of the task and the arm.
 
     Raises:
         BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
@@ -88,9 +91,17 @@ def open_workcell(config: Configuration) -> Workcell:
 def generate(config: Configuration) -> Demonstrations:
     """Return the demonstrations of ``demos=``, or, where it names none, those of the scripted person.
 
+    Each of their ``items`` holds ``times`` (N,) [s], flange ``poses`` (N, 7) in UR Base, x y z [m] and a unit
+    quaternion w first, and, where they are known, ``joints`` (N, 6) [rad], of an arm of n joints (N, n).
+
+    Args:
+        config: of the task, the arm and the person (``demo.count`` demonstrations by ``seed``), or of the files.
+
     Raises:
-        BadInputError: a file is damaged, of another task or out of the arm's reach; or a person is to demonstrate,
-            which only ``koopdqn demo`` lets them do.
+        BadInputError: a file is damaged, of another task or out of the arm's reach; the scene does not compile, or the
+            arm cannot take the task's start or goal; or a person is to demonstrate, which only ``koopdqn demo`` lets
+            them do.
+        WorkFailedError: the arm cannot follow the scripted person, or refuses most of the paths drawn.
     """
     if config.derived is not None:
         return config.derived.training
@@ -105,9 +116,13 @@ def generate(config: Configuration) -> Demonstrations:
 def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
     """Return the intent model K and its trust domain, fitted to demonstrations, with the report of ``fit.json``.
 
+    Args:
+        config: of the task, the intent, the trust domain and the reward that it is calibrated on.
+        demonstrations: of that task; of a single one no error is measured.
+
     Raises:
-        BadInputError: the demonstrations are not of the config's task, or the config names an intent or a run, which
-            only the command line reads.
+        BadInputError: the demonstrations are not of the config's task, do not end at its goal or are shorter than a
+            step, or the config names an intent or a run, which only the command line reads.
     """
     for key, named in (("intent", config.inputs.intent_file), ("run", config.inputs.run)):
         if named is not None:
@@ -118,8 +133,15 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
 def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
     """Return the reward function (Eqs. 15, 16) of a fitted intent, as if the task had no obstacles.
 
+    Its ``evaluate_actions`` takes poses (N, 7), x y z [m] and a unit quaternion w first, their steps (N,) and the
+    starts (N, 7) of their episodes, and gives rewards (N, A) of all A actions: ten, or more where they are continuous.
+
+    Args:
+        config: of the task, the reward and the agent, whose actions are rewarded.
+        fitted: the intent.
+
     Raises:
-        BadInputError: the intent is of another task.
+        BadInputError: the intent is of another task, or turns otherwise than it.
     """
     _check_intent(config, fitted)
     return IntentReward(config.task, fitted.model, fitted.trust, config.reward, continuous=config.agent.continuous)
@@ -186,8 +208,18 @@ def train(
 def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
     """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``).
 
+    The units of the report's keys stand in docs/files.md. Each of the ``episodes`` holds the poses (T + 1, 7) and joint
+    angles (T + 1, 6) [rad] of T steps and what became of it.
+
+    Args:
+        config: of the task, the arm, the reward and the evaluation (``eval.episodes`` starts by ``eval.seed``).
+        demonstrations: that the intent was fitted to.
+        fitted: the intent, for ``tube_fraction`` and the methods that learn nothing.
+        trained: what :func:`train` returned.
+
     Raises:
-        BadInputError: demonstrations, intent or policy are of another task.
+        BadInputError: demonstrations, intent or policy are of another task; the scene does not compile; hardly any
+            start of the region can be taken; or obstacles leave no way.
     """
     if trained.policy.task.name != config.task.name:
         raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
@@ -251,8 +283,19 @@ def make_env(
 ) -> "KoopmanEnvironment":
     """Return the environment that training uses, as dm_env knows it, for another learner.
 
+    Observations are float32 (5,) where orientation is held, otherwise (8,): position [m], there the rotation vector
+    from the goal's orientation [rad], and the distances to the goal [m, rad]. An action is an index into Table 1 from
+    0, or, with continuous actions, a twist of 3 or 6 numbers from −1 to 1.
+
+    Args:
+        config: of the task, the arm, the reward and the oracle; ``seed`` is of the starts.
+        demonstrations: that the intent was fitted to; they set an episode's step limit too.
+        fitted: the intent.
+        oracle: who answers where the intent is not trusted; None for the config's.
+
     Raises:
-        BadInputError: questions are to be put off, which nothing but koopdqn's own training does.
+        BadInputError: demonstrations or intent are of another task, the scene does not compile, obstacles leave no way,
+            who answers cannot, or questions are to be put off, which nothing but koopdqn's own training does.
     """
     from koopdqn.envs.dm import KoopmanEnvironment
 

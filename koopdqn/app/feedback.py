@@ -46,7 +46,9 @@ def _edit(
             show_default=False,
         ),
     ],
-    teacher: Annotated[str | None, typer.Option("--teacher", metavar="NAME", help="Who changes it.")] = None,
+    teacher: Annotated[
+        str | None, typer.Option("--teacher", metavar="NAME", help="Who changes it; editor if nobody is named.")
+    ] = None,
     drop_later: Annotated[bool, typer.Option("--drop-later", help="Later answers no longer count.")] = False,
     debug: Debug = False,
 ) -> int:

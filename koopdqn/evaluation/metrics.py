@@ -3,12 +3,21 @@
 from collections import Counter
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import continuous
-from koopdqn.evaluation.schema import LateralDeviation, MethodReport, PathDeviation, Range, Summary, TurnReport
+from koopdqn.evaluation.schema import (
+    LateralDeviation,
+    MethodReport,
+    PathDeviation,
+    Range,
+    SuccessfulReport,
+    Summary,
+    TurnReport,
+)
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.paths import arc_lengths, discrete_frechet, to_count
 from koopdqn.pose import Array
@@ -72,7 +81,10 @@ def _all_resampled(paths: list[Array], *, smooth: bool = True) -> Array:
 
 
 def hausdorff_mm(path: Array, reference: Array) -> float:
-    """Return the Hausdorff distance [mm] of two paths (T, 7) and (R, 7): the farthest any point is from the other."""
+    """Return the Hausdorff distance [mm] of two paths (T, 7) and (R, 7): the farthest either is from the other.
+
+    Each is looked at in :data:`SAMPLES` points, evenly spaced along it.
+    """
     there, back = (deviations([one], [other]).lateral for one, other in ((path, reference), (reference, path)))
     return float(max(there.max(), back.max())) * 1e3
 
@@ -147,7 +159,8 @@ def measure(
     """Return what is measured of a method's episodes; :class:`MethodReport` defines every quantity.
 
     Deviations and lengths are taken over all episodes that made at least one step, failed ones too: a
-    path that ends early is compared, share by share of its own arc length, with the whole reference.
+    path that ends early is compared, share by share of its own arc length, with the whole reference. Deviations are
+    given over the successful ones alone besides.
 
     Args:
         episodes: at least one.
@@ -162,19 +175,18 @@ def measure(
         raise ValueError(f"there must be one reference for each of {len(episodes)} episodes, found {len(references)}")
     outcomes = Counter(episode.outcome for episode in episodes)
     paths = [episode.poses for episode in episodes if episode.steps]
-    moved = [(e.poses, reference) for e, reference in zip(episodes, references or (), strict=False) if e.steps]
+    compared = [(e, reference) for e, reference in zip(episodes, references or (), strict=False) if e.steps]
+    moved = [(e.poses, reference) for e, reference in compared]
+    succeeded = np.array([e.outcome == SUCCESS for e, _ in compared], dtype=bool)
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
-    matched, stairs, lateral = (_spread(values * _MM) for values in (apart.matched, apart.stairs, apart.lateral))
     ends = np.array([episode.poses[-1] for episode in episodes])
     low, high = wilson_interval(outcomes[SUCCESS], len(episodes))
     return MethodReport(
         success_rate=outcomes[SUCCESS] / len(episodes),
         success_interval_95=[low, high],
         measured_episodes=len(paths),
-        path_deviation_mm=PathDeviation(**matched, frechet=_mean(apart.frechet * _MM)),
-        stairs_deviation_mm=LateralDeviation(**stairs),
-        lateral_deviation_mm=LateralDeviation(**lateral),
-        rotation_deviation_deg=summary(np.degrees(apart.rotation)),
+        **_over(apart, slice(None)),
+        successful=SuccessfulReport(**_over(apart, succeeded)) if succeeded.any() else None,
         tube_fraction=_tube_fraction(paths, frame, trust),
         final_position_error_mm=summary(pose.position_distance(ends, task.goal) * _MM),
         final_rotation_error_deg=summary(np.degrees(pose.rotation_distance(ends, task.goal))),
@@ -185,6 +197,17 @@ def measure(
         turn=turn_report(paths, task) if task.orientation == "learned" else None,
         task_measures=_task_measures(paths, task, reachability.step_seconds),
     )
+
+
+def _over(apart: Deviations, rows: np.ndarray | slice) -> dict[str, Any]:
+    """Return the deviations of those paths (E,) that count, by their keys in a report."""
+    matched, stairs, lateral = (_spread(values[rows] * _MM) for values in (apart.matched, apart.stairs, apart.lateral))
+    return {
+        "path_deviation_mm": PathDeviation(**matched, frechet=_mean(apart.frechet[rows] * _MM)),
+        "stairs_deviation_mm": LateralDeviation(**stairs),
+        "lateral_deviation_mm": LateralDeviation(**lateral),
+        "rotation_deviation_deg": summary(np.degrees(apart.rotation[rows])),
+    }
 
 
 def _time_stretch(episodes: list[Episode], reachability: Reachability) -> Summary:
@@ -199,10 +222,13 @@ def turn_report(paths: list[Array], task: Task) -> TurnReport:
     leads, shares = [], []
     for path in paths:
         left, unturned = pose.position_distance(path, task.goal), pose.rotation_distance(path, task.goal)
-        halved = unturned <= unturned[0] / 2
-        leads.append(bool(halved.any()) and bool(left[halved.argmax()] > left[0] * 2 / 3))
+        # Less than this is no turn that anybody learned: rounding, or noise of what was recorded.
+        least = task.goal_rotation_tolerance_rad
+        if unturned[0] > least:
+            halved = unturned <= unturned[0] / 2
+            leads.append(bool(halved.any()) and bool(left[halved.argmax()] > left[0] * 2 / 3))
         turned = pose.rotation_distance(path[1:], path[:-1])
-        if turned.sum() > 0:
+        if turned.sum() > least:
             moving = pose.position_distance(path[1:], path[:-1]) > 0
             shares.append(float(turned[moving].sum() / turned.sum()))
     return TurnReport(half_before_third=float(np.mean(leads)) if leads else None, while_moving=_range(shares))

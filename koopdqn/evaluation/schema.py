@@ -19,7 +19,10 @@ class Summary(ReportModel):
 
 
 class LateralDeviation(ReportModel):
-    """Distance [mm] of a path's points from a reference path, over the measured episodes."""
+    """Distance [mm] of a path's points from a reference path, over episodes.
+
+    Both are looked at in 200 points, evenly spaced along them.
+    """
 
     mean: NonNegative | None = Field(description="mean over episodes of each episode's mean distance [mm]")
     max: NonNegative | None = Field(description="largest distance of all episodes [mm]")
@@ -47,9 +50,21 @@ class TurnReport(ReportModel):
 
     half_before_third: Fraction | None = Field(
         description="share of episodes whose orientation distance to the goal halves before the position distance has"
-        " lost a third"
+        " lost a third, of those that begin with more than the goal's rotation tolerance left to turn; null without any"
     )
-    while_moving: Range = Field(description="share of an episode's turn made in steps that also move the flange")
+    while_moving: Range = Field(
+        description="share of an episode's turn made in steps that also move the flange, of episodes that turn by more"
+        " than that tolerance"
+    )
+
+
+class SuccessfulReport(ReportModel):
+    """The deviations of a method over the measured episodes that succeeded."""
+
+    path_deviation_mm: PathDeviation = Field(description="from the reference [mm]")
+    stairs_deviation_mm: LateralDeviation = Field(description="the same by the arc length of the stairs [mm]")
+    lateral_deviation_mm: LateralDeviation = Field(description="from the nearest point of the reference [mm]")
+    rotation_deviation_deg: Summary = Field(description="angle to the reference's orientation [deg]")
 
 
 class MethodReport(ReportModel):
@@ -62,7 +77,10 @@ class MethodReport(ReportModel):
     success_rate: Fraction = Field(description="share of episodes that succeeded")
     success_interval_95: IntervalList = Field(description="[lower, upper] Wilson 95 % interval of success_rate")
     measured_episodes: NonNegativeInt = Field(description="episodes that made at least one step")
-    path_deviation_mm: PathDeviation = Field(description="from the reference, over the measured episodes [mm]")
+    path_deviation_mm: PathDeviation = Field(
+        description="from the reference, over the measured episodes; for this and every other deviation both paths are"
+        " looked at in 200 points, evenly spaced along them [mm]"
+    )
     stairs_deviation_mm: LateralDeviation = Field(
         description="the same matched by the arc length of the stairs themselves, which the ten directions lengthen"
         " unevenly [mm]"
@@ -74,6 +92,11 @@ class MethodReport(ReportModel):
     rotation_deviation_deg: Summary = Field(
         description="angle to the reference's orientation at the same share of arc length, over the measured episodes:"
         " mean of the episodes' means, largest of all [deg]"
+    )
+    successful: SuccessfulReport | None = Field(
+        default=None,
+        description="the four deviations over those of the measured episodes that succeeded; null where none did, where"
+        " there is no reference, and in files of earlier releases",
     )
     tube_fraction: Fraction | None = Field(
         description="share of all steps of all episodes that end inside the trust domain"
@@ -174,8 +197,8 @@ class HoldoutReport(ReportModel):
     demonstrations: Count = Field(description="number H of held-out demonstrations, one episode from the start of each")
     outcomes: list[Name] = Field(description='(H,) what became of each episode: "success" or the cause of its failure')
     hausdorff_mm: dict[str, list[NonNegative]] = Field(
-        description="by method, the policy first: (H,) the farthest that any point of an episode's path or of its"
-        " demonstration is from the other"
+        description="by method, the policy first: (H,) the farthest that any of the 200 points, evenly spaced, of an"
+        " episode's path or of its demonstration is from the other"
     )
     end_gap_mm: list[NonNegative] = Field(
         description="(H,) distance of each demonstration's own end from the task's goal, the mean of those learned from"

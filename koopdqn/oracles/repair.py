@@ -60,6 +60,9 @@ class FeedbackSummary(ReportModel):
     agreement: list[AgreementSummary] = Field(description="by pair of teachers who answered the same questions")
 
 
+UNNAMED = "editor"
+"""Who changes an answer, where nobody says."""
+
 _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wrong": False, "s": None, "skip": None}
 
 
@@ -93,7 +96,7 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
         path: the journal.
         number: of the answer.
         text: the new answer, as :func:`parse_answer` reads it.
-        teacher: who changes it; None keeps who answered.
+        teacher: who changes it; None for :data:`UNNAMED`.
         learned: how many answers the run in the journal's folder has learned from.
         drop_later: whether all later answers no longer count.
 
@@ -117,7 +120,7 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
     right, better = parse_answer(text, line.action, continuous=continuous)
     if teacher is not None and (not teacher.strip() or not teacher.isprintable()):
         raise BadInputError(f"--teacher: must be a name on one line, found {teacher!r}")
-    source, late = teacher or line.source, number < learned
+    source, late = teacher or UNNAMED, number < learned
     with closing(JournalFile(path)) as file:
         file.append(EditLine(kind="edit", number=number, right=right, better=better, source=source, learned=late))
         if drop_later:

@@ -78,6 +78,17 @@ def _trained(runs: Sequence[Run]) -> list[tuple[Path, Any]]:
     return [(run.train_file, run.train) for run in runs]
 
 
+def _until_learned(runs: Sequence[Run]) -> list[tuple[Path, Any]]:
+    """Return what learning took in the runs that learned; the seconds only of those that ended then."""
+    found = []
+    for run in runs:
+        if (learned_at := run.train["learned_at_env_steps"]) is not None:
+            checks = (check["episodes"] for check in run.train["checks"] if check["env_steps"] == learned_at)
+            seconds = run.train["seconds"] if run.train["env_steps"] == learned_at else None
+            found.append((run.train_file, {"episodes": next(checks, None), "seconds": seconds}))
+    return found
+
+
 def _measured(runs: Sequence[Run]) -> list[tuple[Path, Any]]:
     return [(run.evaluation_file, run.evaluation) for run in runs if run.evaluation_file is not None]
 
@@ -89,8 +100,8 @@ _FITTED: Final[tuple[tuple[Sequence[str], str, Callable[[HeldOut], str]], ...]] 
     (TASKS, "steps that the expert is asked about", lambda fit: f"{100 * fit.asked.mean():.0f} %"),
 )
 _LEARNED: Final = (
-    (_trained, Quantity("episodes to learn", "episodes", ",.0f")),
-    (_trained, Quantity("minutes to learn", "seconds", ".2f", 1 / 60)),
+    (_until_learned, Quantity("episodes to learn", "episodes", ",.0f")),
+    (_until_learned, Quantity("minutes to learn", "seconds", ".2f", 1 / 60)),
     (_trained, Quantity("questions asked", "oracle_queries", ",.0f")),
     (_measured, Quantity("success from held-out starts", "success_rate", ".0f", 100.0, "%")),
     (_measured, Quantity(_DEVIATION, "path_deviation_mm.mean", ".1f", unit="mm")),

@@ -57,7 +57,10 @@ class TrainReport(ReportModel):
     )
     learned: bool = Field(description="whether enough checks in a row were passed and quality stopped improving")
     learned_at_env_steps: NonNegativeInt | None = Field(description="actions tried by then; null if not learned")
-    seconds: NonNegative = Field(description="duration of the run, all parts together [s]")
+    seconds: NonNegative = Field(
+        description="duration of the run, all parts together; of a part that was stopped, what came after its last"
+        " checkpoint is not counted [s]"
+    )
     episodes: NonNegativeInt = Field(description="number E of finished episodes")
     env_steps: NonNegativeInt = Field(description="actions tried: transitions stored, undone ones included")
     updates: NonNegativeInt = Field(description="updates of the network")

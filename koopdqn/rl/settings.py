@@ -125,12 +125,15 @@ class ActorCriticSettings(Agent):
 
 
 class TrainSettings(Settings):
-    """When the policy is checked and when training stops. Limits count steps, never seconds."""
+    """When the policy is checked and when training stops. Limits count steps, never seconds.
+
+    They are looked at after every round, a step of all episodes, which may go past them.
+    """
 
     stop: Literal["learned", "limit"] = Field(description="stop when learned, or only at a limit")
     extend: float = Field(ge=1, description="with stop=limit: go on to this multiple of the actions it took to learn")
-    max_steps: Count = Field(description="most actions tried")
-    max_episodes: Count = Field(description="most episodes finished")
+    max_steps: Count = Field(description="actions tried after which training ends, with the round of all episodes")
+    max_episodes: Count = Field(description="episodes finished after which it ends, with that round")
     check_every: Count = Field(description="updates between two checks")
     check_starts: int = Field(ge=20, le=10_000, description="held-out starts of a check")
     check_seed: int = Field(ge=0, description="of the checks' starts")

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from koopdqn.schema import ReportModel
-from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
 
@@ -74,6 +74,7 @@ class ComparedRun(ReportModel):
     env_steps: NonNegativeInt = Field(description="actions tried")
     oracle_queries: NonNegativeInt = Field(description="questions that reached the oracle")
     evaluation: Name | None = Field(description="file of its newest evaluation; null if none was found")
+    episodes: Count | None = Field(description="held-out starts of that evaluation")
     success_rate: Fraction | None = Field(description="of that evaluation")
     deviation_mm: NonNegative | None = Field(description="mean path deviation of that evaluation")
     reached: NonNegativeInt = Field(description="how many of the shown paths reach the goal")

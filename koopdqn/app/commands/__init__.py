@@ -56,9 +56,9 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         value = getattr(settings.inputs, key)
         if value is not None:
             found = ", ".join(value) if isinstance(value, tuple) else str(value)
-            raise BadInputError(
-                f"{key.removesuffix('_file')}: koopdqn {command} reads no such file or folder, found {found!r}"
-            )
+            takers = ", ".join(sorted(name for name, (_, others) in _COMMANDS.items() if key not in others))
+            rule = f"must be left out, as koopdqn {command} does not take it"
+            raise BadInputError(f"{key.removesuffix('_file')}: {rule}, found {found!r}; taken by: {takers}")
     # What the config names was named by the user: a run's record may name classes of koopdqn alone.
     named = [str(target).rpartition(".")[0] for _, target in targets(plain(config))]
     with warnings.catch_warnings(), trusting([*settings.inputs.trust_modules, *named]), threads(settings.train.threads):

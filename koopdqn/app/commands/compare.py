@@ -174,6 +174,7 @@ def _told(each: _Run, motions: Sequence[Motion]) -> ComparedRun:
         folder=str(each.folder),
         **{key: train[key] for key in ("seed", "learned", "seconds", "env_steps", "oracle_queries")},
         evaluation=None if file is None else str(file),
+        episodes=None if evaluation is None else evaluation["episodes"],
         success_rate=None if evaluation is None else evaluation["success_rate"],
         deviation_mm=None if evaluation is None else evaluation["path_deviation_mm"]["mean"],
         reached=sum(motion.remark.startswith("reaches") for motion in own),
@@ -190,7 +191,7 @@ def _result_listing(found: Sequence[ComparedRun], starts: int) -> Listing:
     header = ("run", "folder", "learned", "time [s]", "actions", "questions", "success", "deviation", "reached")
     rows = []
     for each in found:
-        success = "–" if each.success_rate is None else f"{each.success_rate:.0%}"
+        success = "–" if each.success_rate is None else f"{each.success_rate:.0%} of {each.episodes}"
         deviation = "–" if each.deviation_mm is None else f"{each.deviation_mm:.1f} mm"
         rows.append(
             (

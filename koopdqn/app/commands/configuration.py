@@ -21,6 +21,7 @@ from koopdqn.oracles.base import OracleSettings
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.streaming import StreamSettings
 from koopdqn.report.schema import ReportSettings
+from koopdqn.resources import conf_dir
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
@@ -91,8 +92,10 @@ class Configuration:
             return self.derived.task
         if isinstance(self.chosen, Task):
             return self.chosen
+        options = sorted(file.stem for file in (conf_dir() / "task").glob("*.yaml"))
+        valid = ", ".join(name for name in options if name != "demonstrated")
         raise BadInputError(
-            "task: must be one that stands by itself, found one that is made from demonstrations; valid: knife, shelf"
+            f"task: must be one that stands by itself, found one that is made from demonstrations; valid: {valid}"
         )
 
     @classmethod

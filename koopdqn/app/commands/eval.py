@@ -86,8 +86,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
         table(report),
+        *off(report, "the demonstrator's own path", continuous=config.agent.continuous),
         *_guarded(report["dynamics"]),
-        *([_holdout_table(report)] if report["holdout"] else []),
+        *_held_out(report, continuous=config.agent.continuous),
         f"report          {console.shown_path(folder / 'eval.json')}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
@@ -158,18 +159,45 @@ def table(report: dict[str, Any]) -> "Table":
     )
 
 
-def _holdout_table(report: dict[str, Any]) -> "Table":
+def off(method: dict[str, Any], whose: str, *, continuous: bool) -> list[RenderableType]:
+    """Return lines on how far a policy's turn is off, where one is learned, and its paths' length, if that is far off.
+
+    Args:
+        method: the policy's keys.
+        whose: of whom its references are.
+        continuous: whether its actions are twists.
+    """
+    lines: list[RenderableType] = []
+    turn, ratio = method["rotation_deviation_deg"], method["path_length_ratio"]
+    if method["turn"] is not None and turn["mean"] is not None:
+        lines.append(f"turn            {turn['mean']:.1f}° off that of {whose} on average, {turn['max']:.0f}° at most")
+    # The stairs of ten directions alone lengthen a path by up to √3.
+    if ratio is not None and not 0.8 <= ratio <= (1.25 if continuous else 3**0.5):
+        lines.append(f"path length     {ratio:.2f} times that of {whose} on average")
+    return lines
+
+
+def _held_out(report: dict[str, Any], *, continuous: bool) -> list[RenderableType]:
+    """Return what is told of held-out demonstrations, if there are any."""
+    if not report["holdout"]:
+        return []
+    told = off(report["holdout"]["policy"], "the demonstration held out", continuous=continuous)
+    return [holdout_table(report), *told]
+
+
+def holdout_table(report: dict[str, Any]) -> "Table":
     """Return the section ``holdout`` of ``eval.json`` as a table of one row per method, the policy first."""
     holdout, rows = report["holdout"], {}
     for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
-        success, *rest = _cells(method)
+        success, deviation, _, failures = _cells(method)
         apart = np.array(holdout["hausdorff_mm"][name])
-        rows[name] = [success, f"{np.median(apart):.1f} / {apart.max():.1f}", *rest]
+        far = f"{np.median(apart):.1f} / {apart.max():.1f}"
+        rows[name] = [success, far, deviation.removesuffix(" mm"), failures]
     return _methods(
-        ("method", "success", "Hausdorff", "deviation", "sideways", "failures"),
+        ("method", "success", "Hausdorff", "deviation", "failures"),
         rows,
         title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
-        caption="Hausdorff in mm: the farthest from the held-out demonstration, median and largest",
+        caption="in mm; Hausdorff: the farthest from the held-out demonstration, median and largest",
     )
 
 

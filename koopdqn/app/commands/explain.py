@@ -21,7 +21,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.policy import Policy
 from koopdqn.tasks.moved_goals import DrawnStarts
-from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
+from koopdqn.tasks.rollout import RULE_BROKEN, STUCK, SUCCESS, Episode, roll_out
 from koopdqn.view.explain import Walk, drawn_of, explained_actions, left_at, telling_step, trust_of, walked
 from koopdqn.view.motions import shown_starts
 from koopdqn.view.schema import ExplainFile
@@ -116,8 +116,10 @@ def _on_path(config: Configuration, trained: TrainedRun, policy: Policy) -> _Sta
     row, why = telling_step(walk, task)
     if config.explain.step is not None:
         row, why = config.explain.step, "it was asked for"
-        if row > episode.steps:
-            raise BadInputError(f"explain.step: must be at most {episode.steps}, the steps of this path, found {row}")
+        # Where these leave the arm no action follows.
+        last = episode.steps - (episode.outcome in (SUCCESS, RULE_BROKEN, STUCK))
+        if row > last:
+            raise BadInputError(f"explain.step: must be at most {last}, the last step of this path, found {row}")
     place = {
         "start": number,
         "outcome": episode.outcome,
