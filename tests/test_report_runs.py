@@ -199,3 +199,14 @@ def test_a_run_of_no_preset_is_left_out(
     groups, [left_out] = group_runs(find_runs([tmp_path])[0], presets)
     assert groups == {}
     assert "agent paper, intent pose" in left_out.reason
+
+
+def test_a_run_that_someone_else_answered_is_left_out(
+    tmp_path: Path, parts: "Parts", presets: "Presets", demonstrations: "Demonstrations"
+) -> None:
+    write_run(tmp_path / "noisy", parts, demonstrations)
+    file = tmp_path / "noisy" / "train.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "oracle": "noisy"}))
+    groups, [left_out] = group_runs(find_runs([tmp_path])[0], presets)
+    assert groups == {}
+    assert "oracle noisy" in left_out.reason

@@ -18,7 +18,7 @@ from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.run_folder import check_plain
-from koopdqn.settings import TARGET, load_settings
+from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 
 POLICY: Final = "policy.safetensors"
@@ -31,7 +31,7 @@ DEFAULT: Final = "default"
 PAPER: Final = "paper"
 PRESETS: Final = (DEFAULT, PAPER)
 SCRIPTED: Final = "scripted"
-"""Name of the oracle that answers in both presets."""
+"""Who answers in both."""
 TASKS: Final = ("shelf", "knife")
 """The paper's two tasks, in its order."""
 
@@ -136,17 +136,12 @@ def _read(folder: Path) -> Run:
     about = policy.about
     if CORRECTED in policy.arrays:
         raise BadInputError(f"run {folder} must be as it was trained, found it corrected by hand")
-    try:
-        nodes = {name: about[name] for name in ("task", "robot", "intent", "trust", "reward", "agent", "seed")}
-    except KeyError as error:
-        raise BadInputError(f"{folder / POLICY} must say what shaped it, found no {error}") from error
     with reading(f"policy {folder / POLICY}"):
-        task = load_settings(_without_item_targets(nodes["task"]), Task, "task")
-        arm = load_settings(_without_item_targets(nodes["robot"]), Arm, "robot")
+        task = load_settings(about["task"], Task, "task")
+        arm = load_settings(about["robot"], Arm, "robot")
         # The figures need them later.
-        load_settings(nodes["intent"], IntentSettings, "intent")
-        load_settings(nodes["trust"], TrustSettings, "trust")
-        load_settings(nodes["reward"], RewardSettings, "reward")
+        for name, settings in (("intent", IntentSettings), ("trust", TrustSettings), ("reward", RewardSettings)):
+            load_settings(about[name], settings, name)
         return Run(folder, train, about, task, arm)
 
 
@@ -180,17 +175,13 @@ def group_runs(runs: Sequence[Run], presets: Presets) -> tuple[Groups, list[Left
     by_preset: dict[tuple[str, str], dict[str, list[Run]]] = {place: {} for place in presets}
     left_out = []
     for run in runs:
-        names = run.task.name, run.train["agent"], run.train["intent"]
-        if run.train.get("oracle") not in (None, SCRIPTED):
-            reason = f"answered by oracle={run.train['oracle']}: every preset's answers are {SCRIPTED}"
-            left_out.append(LeftOut(folder=str(run.folder), reason=reason))
-            continue
+        names = run.task.name, run.train["agent"], run.train["intent"], run.train["oracle"] or SCRIPTED
         for place, preset in presets.items():
-            if names == (preset.task.name, preset.agent.name, preset.intent.name):
+            if names == (preset.task.name, preset.agent.name, preset.intent.name, SCRIPTED):
                 by_preset[place].setdefault(configuration_key(run.about), []).append(run)
                 break
         else:
-            reason = "agent {1}, intent {2}, task {0}: no preset has these".format(*names)
+            reason = "agent {1}, intent {2}, oracle {3}, task {0}: no preset has these".format(*names)
             left_out.append(LeftOut(folder=str(run.folder), reason=reason))
     groups = {}
     for place, configurations in by_preset.items():
@@ -213,13 +204,3 @@ def group_runs(runs: Sequence[Run], presets: Presets) -> tuple[Groups, list[Left
 
 def _rank(key: str, runs: Sequence[Run], present: str) -> tuple[bool, int, int]:
     return key == present, len({run.seed for run in runs}), max(run.age for run in runs)
-
-
-def _without_item_targets(node: Any) -> Any:
-    """Return a node whose lists' items name no class, as a settings class takes them."""
-    if isinstance(node, Mapping):
-        return {key: _without_item_targets(value) for key, value in node.items()}
-    if isinstance(node, list):
-        plain = [{k: v for k, v in item.items() if k != TARGET} if isinstance(item, Mapping) else item for item in node]
-        return [_without_item_targets(item) for item in plain]
-    return node
