@@ -67,6 +67,19 @@ def test_runs_stand_in_one_table_and_their_paths_on_one_page(
     assert len(baked["tracks"]) == 3
 
 
+def test_who_answered_is_a_difference(
+    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inputs = [f"demos={runs[0]}/demos.hdf5", f"intent={runs[0]}/intent.npz"]
+    other = [*SMALL, STOPPED, *inputs, "oracle=noisy", "oracle.wrong=0.2", f"out={tmp_path}/noisy"]
+    assert cli.main(["train", *other]) == 1
+    content = compared((runs[0], tmp_path / "noisy"), tmp_path / "out", capsys)
+    assert {each["key"]: each["values"] for each in content["differences"]} == {
+        "oracle": ["scripted", "noisy"],
+        "oracle.wrong": ["", "0.2"],
+    }
+
+
 def test_a_corrected_run_differs_in_that(
     runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

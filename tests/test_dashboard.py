@@ -1,6 +1,7 @@
 """The dashboard of a training: it fits its screen, says what the trainer says, and changes nothing."""
 
 import io
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,20 @@ def test_it_draws_four_times_a_second_and_takes_a_hundredth_of_the_time_at_most(
                 board.round()
                 now += 0.01
             assert most - 2 <= len(drawn) <= most
+
+
+def test_ctrl_z_gives_the_screen_back_until_it_comes_back(monkeypatch: pytest.MonkeyPatch, trained: Trainer) -> None:
+    stopped: list[bool] = []
+    with Dashboard(trained, taught().trajectories, None, terminal()) as board:
+        live = board._live
+        assert live is not None
+        monkeypatch.setattr(module.os, "kill", lambda process, number: stopped.append(live.is_started))
+        signal.raise_signal(signal.SIGTSTP)
+        assert not stopped
+        board.round()
+        assert stopped == [False]
+        assert live.is_started
+    assert signal.getsignal(signal.SIGTSTP) == signal.SIG_DFL
 
 
 def test_time_left_comes_from_the_pace_so_far(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,6 +135,16 @@ def test_keys_typed_ahead_answer_nothing_and_a_signal_loses_nothing(tmp_path: Pa
     assert len(answers(folder)) == 1
 
 
+def test_the_key_that_pauses_is_heeded_before_a_question_stands(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with begin(folder) as session:
+        session.wait(QUESTION)
+        session.press("nq")
+        assert session.finish() == 130
+        assert f"paused; everything so far is kept; koopdqn train run={folder} goes on" in session.raw.decode()
+    assert len(answers(folder)) == 1
+
+
 @pytest.mark.draws
 def test_without_colour_the_screen_says_the_same(tmp_path: Path) -> None:
     with begin(tmp_path / "run", environment={"NO_COLOR": "1"}) as session:

@@ -11,7 +11,7 @@ from PIL import Image
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.terminal.device import check_graphics, choose_graphics
-from koopdqn.oracles.terminal.graphics import block_lines, kitty, png, sixel
+from koopdqn.oracles.terminal.graphics import block_lines, kitty, lettered, png, sixel
 
 PLAIN = {"TERM": "xterm-256color"}
 TMUX = {"TERM": "tmux-256color", "TMUX": "/tmp/tmux-0/default,1,0"}
@@ -110,6 +110,16 @@ def decoded(text: str) -> NDArray[np.uint8]:
 def test_sixels_draw_the_picture_to_the_nearest_percent(seed: int, height: int, width: int) -> None:
     image = picture(seed, height, width, colours=8)
     assert np.abs(decoded(sixel(image)).astype(int) - image).max() <= 3
+
+
+def test_letters_stand_beside_what_they_mark_and_nowhere_else() -> None:
+    image = np.full((180, 240, 3), 90, dtype=np.uint8)
+    drawn = lettered(image, {"b": (0.25, 0.5), "x": (1.2, 0.5)})
+    changed = np.argwhere((drawn != image).any(axis=2))
+    assert len(changed) > 20
+    assert np.abs(changed - [90, 60]).max() <= 20
+    assert np.abs(lettered(image, {}, "b before").astype(int) - image)[150:].any()
+    np.testing.assert_array_equal(lettered(image, {}), image)
 
 
 def test_half_blocks_hold_two_pixels_each() -> None:

@@ -40,6 +40,11 @@ def asked(parts: Parts) -> Question:
     )
 
 
+@pytest.fixture(scope="module")
+def knife() -> Parts:
+    return knife_parts()
+
+
 @settings(max_examples=60)
 @given(width=st.integers(20, 240), height=st.integers(8, 80), pictures=st.booleans(), helps=st.booleans())
 def test_a_screen_fits_its_terminal(
@@ -73,6 +78,34 @@ def test_a_screen_says_all_that_an_answer_needs(parts: Parts, asked: Question, w
 def test_the_help_is_whole_on_a_small_screen(parts: Parts, asked: Question) -> None:
     text = "\n".join(line.plain for line in compose(Shown(parts.task, "anna", asked, help=True), 80, 24, pictures=True))
     assert all(line in text for line in help_lines(asked))
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 24), (60, 20), (66, 24), (80, 24)])
+def test_keys_and_help_are_whole_on_a_narrow_screen(parts: Parts, asked: Question, width: int, height: int) -> None:
+    lines = [line.plain for line in compose(Shown(parts.task, "anna", asked), width, height, pictures=True)]
+    for key in ("y right", "0-9 better action", "s skip", "u undo", "p big picture", "? help", "q pause"):
+        assert any(key in line for line in lines), key
+    helps = compose(Shown(parts.task, "anna", asked, help=True), width, height, pictures=True)
+    words = " ".join(" ".join(line.plain for line in helps).split())
+    assert height < 24 or "right: a person could have gone this way" in words
+    assert width < 60 or "Any key goes back to the question." in words
+
+
+def test_on_a_small_screen_a_long_answer_and_wish_are_whole(knife: Parts, asked: Question) -> None:
+    start = knife.task.nominal_start
+    ends = reached_poses(start[None], knife.task)[0]
+    given = replace(
+        asked,
+        pose=start,
+        reached=ends[4],
+        predicted=ends[3],
+        candidates=np.vstack([ends, ends[3]]),
+        choosable=np.ones(COUNT + 1, dtype=bool),
+    )
+    text = "\n".join(line.plain for line in compose(Shown(knife.task, "anna", given), 80, 24, pictures=True))
+    assert screen.opinion(given) in text
+    for key, choice in zip(screen.CHOICE_KEYS, screen.choices(given, knife.task), strict=True):
+        assert f"{key}{'*' if int(key, 36) == asked.action else ' '}{choice}" in text
 
 
 def test_the_models_suggestion_is_named_where_there_is_one(parts: Parts, asked: Question) -> None:
