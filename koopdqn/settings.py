@@ -1,6 +1,7 @@
 """Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
 
 import importlib
+import inspect
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -268,7 +269,9 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
     """
     content = plain(node, where)
     if TARGET not in content:
-        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing")
+        hint = f" (_target_ is written {TARGET} here)" if "_target_" in content else ""
+        text = f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing{hint}"
+        raise BadInputError(text)
     cls = _locate(content.pop(TARGET), where)
     found = f"found {_full_name(cls)}"
     try:
@@ -279,10 +282,15 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
         raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
     if not issubclass(cls, BaseModel):
         raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
-    settings = validate(content, cls, where)
-    if not isinstance(settings, base):
-        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
-    return settings
+    missing = sorted(getattr(cls, "__abstractmethods__", ()))
+    if not missing:
+        settings = validate(content, cls, where)
+        if isinstance(settings, base):
+            return settings
+        parts = [*vars(base), *inspect.get_annotations(base)]
+        missing = [name for name in parts if not name.startswith("_") and not hasattr(settings, name)]
+    found += f" without {', '.join(missing)}"
+    raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
 
 
 # Where classes were that runs of earlier commits name: they can still be evaluated.
