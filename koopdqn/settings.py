@@ -274,11 +274,8 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
         raise BadInputError(text)
     cls = _locate(content.pop(TARGET), where)
     found = f"found {_full_name(cls)}"
-    try:
-        implements = issubclass(cls, base)
-    except TypeError:
-        implements = True  # a protocol with data members is only decided on an instance, below
-    if not implements:
+    # a protocol with data members is only decided on an instance, below
+    if not getattr(base, "_is_protocol", False) and not issubclass(cls, base):
         raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
     if not issubclass(cls, BaseModel):
         raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
