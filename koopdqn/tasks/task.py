@@ -191,7 +191,12 @@ class Task(TaskChoice):
 
     @cached_property
     def reference_path(self) -> ReferencePath:
-        """The path for the person to follow: through the waypoints, turned as :meth:`turned` says."""
+        """The path for the person to follow: :attr:`waypoint_path`, unless a task says otherwise."""
+        return self.waypoint_path
+
+    @cached_property
+    def waypoint_path(self) -> ReferencePath:
+        """The path through the waypoints, turned as :meth:`turned` says."""
         places = SmoothPath.through(self.waypoints)
         turn = pose.rotation_distance(self.nominal_start, self.goal)
         angle = turn * self.turned(np.linspace(0.0, 1.0, len(places.points)))
