@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from koopdqn.errors import BadInputError
@@ -125,6 +125,9 @@ def shown(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+FARTHEST_M: Final = 10.0
+"""No arm reaches so far [m]; lengths in millimetres or centimetres soon do."""
+
 T = TypeVar("T")
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -168,6 +171,12 @@ def _to_modules(value: object) -> object:
     return tuple(values)
 
 
+def _in_metres(values: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, values)) > FARTHEST_M:
+        raise ValueError(f"must be in metres and within {FARTHEST_M:g} m")
+    return values
+
+
 Positive = Annotated[float, Field(gt=0)]
 """A finite number above 0."""
 NonNegative = Annotated[float, Field(ge=0)]
@@ -188,6 +197,8 @@ Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 n
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
 """Three numbers, as a YAML list."""
+Metres3 = Annotated[Vector3, AfterValidator(_in_metres)]
+"""Three lengths [m], as a YAML list, such as a position; what can only be millimetres is refused."""
 Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("a list of 4 numbers", 4))]
 """Four numbers, as a YAML list."""
 Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("a list of 6 numbers", 6))]
