@@ -1,12 +1,13 @@
 """Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
 
 import importlib
+import inspect
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from koopdqn.errors import BadInputError
@@ -124,6 +125,9 @@ def shown(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+FARTHEST_M: Final = 10.0
+"""No arm reaches so far [m]; lengths in millimetres or centimetres soon do."""
+
 T = TypeVar("T")
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -167,6 +171,12 @@ def _to_modules(value: object) -> object:
     return tuple(values)
 
 
+def _in_metres(values: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, values)) > FARTHEST_M:
+        raise ValueError(f"must be in metres and within {FARTHEST_M:g} m")
+    return values
+
+
 Positive = Annotated[float, Field(gt=0)]
 """A finite number above 0."""
 NonNegative = Annotated[float, Field(ge=0)]
@@ -187,6 +197,8 @@ Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 n
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
 """Three numbers, as a YAML list."""
+Metres3 = Annotated[Vector3, AfterValidator(_in_metres)]
+"""Three lengths [m], as a YAML list, such as a position; what can only be millimetres is refused."""
 Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("a list of 4 numbers", 4))]
 """Four numbers, as a YAML list."""
 Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("a list of 6 numbers", 6))]
@@ -268,21 +280,25 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
     """
     content = plain(node, where)
     if TARGET not in content:
-        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing")
+        hint = f" (_target_ is written {TARGET} here)" if "_target_" in content else ""
+        text = f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing{hint}"
+        raise BadInputError(text)
     cls = _locate(content.pop(TARGET), where)
     found = f"found {_full_name(cls)}"
-    try:
-        implements = issubclass(cls, base)
-    except TypeError:
-        implements = True  # a protocol with data members is only decided on an instance, below
-    if not implements:
+    # a protocol with data members is only decided on an instance, below
+    if not getattr(base, "_is_protocol", False) and not issubclass(cls, base):
         raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
     if not issubclass(cls, BaseModel):
         raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
-    settings = validate(content, cls, where)
-    if not isinstance(settings, base):
-        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
-    return settings
+    missing = sorted(getattr(cls, "__abstractmethods__", ()))
+    if not missing:
+        settings = validate(content, cls, where)
+        if isinstance(settings, base):
+            return settings
+        parts = [*vars(base), *inspect.get_annotations(base)]
+        missing = [name for name in parts if not name.startswith("_") and not hasattr(settings, name)]
+    found += f" without {', '.join(missing)}"
+    raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
 
 
 # Where classes were that runs of earlier commits name: they can still be evaluated.

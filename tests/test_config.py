@@ -3,6 +3,7 @@ import math
 import string
 import sys
 import textwrap
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
 
@@ -51,6 +52,18 @@ class Task(Settings):
 
 class Other(Settings):
     colour: str = "red"
+
+
+class Worker(Settings, ABC):
+    @abstractmethod
+    def work(self) -> None: ...
+
+    @abstractmethod
+    def rest(self) -> None: ...
+
+
+class Restless(Worker):
+    def work(self) -> None: ...
 
 
 class NotSettings:
@@ -162,7 +175,7 @@ class TestTarget:
         ("target", "expected"),
         [
             ("no_such_module_here.Task", "(ModuleNotFoundError: No module named 'no_such_module_here')"),
-            (f"{HERE}.Tsk", "has no class 'Tsk'; valid: HasStep, Inner, NotSettings, Other, Task"),
+            (f"{HERE}.Tsk", "has no class 'Tsk'; valid: HasStep, Inner, NotSettings, Other, Restless, Task"),
             ("Task", "must be a dotted name such as some.module.Class, found 'Task'"),
             (3, "must be a dotted name such as some.module.Class, found 3"),
             ("", "must be a dotted name such as some.module.Class, found ''"),
@@ -179,11 +192,19 @@ class TestTarget:
             with pytest.raises(BadInputError, match=f"task.target: .*found {HERE}.{name}"):
                 load_settings({"target": f"{HERE}.{name}"}, HasStep, "task")
 
+    def test_what_a_class_lacks_is_named(self) -> None:
+        with pytest.raises(BadInputError, match=rf"implements {HERE}.Worker, found {HERE}.Restless without rest$"):
+            load_settings({"target": f"{HERE}.Restless", "pay": 1}, Worker, "task")
+        with pytest.raises(BadInputError, match=rf"implements {HERE}.HasStep, found {HERE}.Other without step_m$"):
+            load_settings({"target": f"{HERE}.Other"}, HasStep, "task")
+
     def test_an_absent_one_and_a_module_that_fails_are_explained(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         with pytest.raises(BadInputError, match=r"task\.target: must name a class .*, found nothing"):
             load_settings({"step_m": 1.0}, Task, "task")
+        with pytest.raises(BadInputError, match=r"found nothing \(_target_ is written target here\)$"):
+            load_settings({"_target_": f"{HERE}.Task", "step_m": 1.0}, Task, "task")
         (tmp_path / "broken_lab.py").write_text("1 / 0\n")
         monkeypatch.syspath_prepend(tmp_path)
         with pytest.raises(BadInputError, match="ZeroDivisionError: division by zero"):

@@ -1,9 +1,14 @@
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
+from pydantic import PrivateAttr, ValidationError
 
+from koopdqn.errors import BadInputError
+from koopdqn.intent.koopman import KoopmanModel
 from koopdqn.intent.observables import (
     Observables,
     Polynomial,
@@ -49,6 +54,37 @@ def test_each_row_is_lifted_by_itself(observables: Observables, rows: Array) -> 
 @pytest.mark.parametrize("observables", EVERY, ids=lambda o: type(o).__name__)
 def test_everything_vanishes_at_the_origin(observables: Observables) -> None:
     np.testing.assert_array_equal(observables.lift(np.zeros((1, 3))), 0.0)
+
+
+class _Own(Observables):
+    """Features of one's own, as a test gives them."""
+
+    _features: Callable[[Array], Any] = PrivateAttr()
+
+    def features(self, states: Array) -> Array:
+        return np.asarray(self._features(states))
+
+
+@pytest.mark.parametrize(
+    ("features", "said"),
+    [
+        (
+            lambda s: s[:, 0] ** 2,
+            r"real numbers of shape \(4, any number\), a row a state, found float64 of shape \(4,\)",
+        ),
+        (lambda s: np.ones((3, 2)), r"found float64 of shape \(3, 2\)"),
+        (lambda s: s**2 + 1j, r"found complex128 of shape \(4, 3\)"),
+        (lambda s: np.log(-1.0 - s**2), r"finite numbers, found \[nan, nan, nan\] of a state \[0.0, 1.0, 2.0\]"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_features_that_no_model_can_be_fitted_to_name_their_observables(
+    features: Callable[[Array], Any], said: str
+) -> None:
+    own, states = _Own(), np.arange(12.0).reshape(4, 3)
+    own._features = features
+    with pytest.raises(BadInputError, match=f"observables _Own: features must return .*{said}"):
+        KoopmanModel.fit(own, states, states, np.zeros(3), 1.0)
 
 
 def test_the_second_order_lift_has_the_papers_entries_in_the_papers_order() -> None:

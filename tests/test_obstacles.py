@@ -110,6 +110,10 @@ def test_what_is_nearer_than_the_clearance_touches(shape: dict[str, Any]) -> Non
             "vertices_m must not lie in one plane, found 4",
         ),
         ({"shape": "mesh", "radius_m": None, "file": "nowhere.stl"}, "found no file"),
+        ({"shape": "mesh", "radius_m": None}, "a mesh must have file or vertices_m, found none"),
+        ({"center_m": (577, -85, 590)}, "center_m\n.*must be in metres and within 10 m"),
+        ({"radius_m": 30}, "radius_m\n.*less than or equal to 10"),
+        ({"shape": "box", "radius_m": None, "size_m": (60, 60, 60)}, "size_m\n.*must be in metres and within 10 m"),
         ({"quaternion": (1.0, 1.0, 0.0, 0.0)}, "quaternion must have length 1"),
     ],
 )
@@ -146,6 +150,12 @@ def test_an_stl_file_in_text_is_read_as_any_other(tmp_path: Path) -> None:
     [
         ("[{name: a, shape: sphere, center_m: [1, 1, 1], radius_m: 3e-2}]", ""),
         ("- &a {name: a, shape: sphere, center_m: [1, 1, 1], radius_m: 0.1}\n- *a\n", "two named a"),
+        ("{name: a, shape: sphere, center_m: [1, 1, 1], radius: 0.1}", "must be a list, each item .*found {'name'"),
+        (
+            "[{name: a, shape: sphere, center_m: [1, 1, 1], radius: 0.1}]",
+            "radius; valid: .*clearance_m, file, ",
+        ),
+        ("hello", "must be a list, each item a group of keys, found {'hello'"),
         ("5", "must be YAML"),
         ("obstacles: ${a}", "must be a list"),
         ("a: [", "must be YAML"),

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
@@ -12,11 +14,12 @@ from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import Workcell, build_scene
 
 
-class _NegativeBox(ShelfTask):
+class _SameTwice(ShelfTask):
     """A shelf that MuJoCo cannot compile."""
 
     def furnish(self, scene: SceneBuilder) -> None:
-        scene.furniture_box("impossible", (0, 0, 0), (-1.0, 0.1, 0.1), (1, 1, 1, 1))
+        super().furnish(scene)
+        super().furnish(scene)
 
 
 def test_mujoco_and_the_closed_form_agree_where_the_flange_is(workcell: Workcell, arm: URArm) -> None:
@@ -100,9 +103,32 @@ def test_the_payload_is_not_the_arm_and_the_floor_is_not_furniture(workcell: Wor
 
 
 def test_a_scene_that_does_not_compile_is_bad_input(parts: Parts) -> None:
-    broken = _NegativeBox.model_construct(**dict(parts.task))
+    broken = _SameTwice.model_construct(**dict(parts.task))
     with pytest.raises(BadInputError, match="scene of task shelf must compile"):
         build_scene(broken, parts.arm)
+
+
+GREY = (0.5, 0.5, 0.5, 1.0)
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("add", "said"),
+    [
+        (lambda s: s.tool_box("b", (0, 0, NAN), (1, 1, 1), GREY, 0.3, payload=True), "b: center must be finite"),
+        (lambda s: s.tool_box("b", (0, 0, 0), (1, 1, -0.04), GREY, 0.3), "b: half_size must be above 0"),
+        (lambda s: s.tool_box("b", (0, 0, 0), (1, 1, 1), GREY, NAN), "b: mass must be finite, found nan"),
+        (lambda s: s.tool_cylinder("c", (0, 0, 0), (0, 0, NAN), 0.1, GREY, 0.3), "c: end must be finite"),
+        (lambda s: s.tool_cylinder("c", (0, 0, 0), (0, 0, 1), 0.0, GREY, 0.3), "c: radius must be above 0, found 0.0"),
+        (lambda s: s.furniture_box("d", (0, 0, 0), (1, np.inf, 1), GREY), "d: half_size must be finite"),
+        (lambda s: s.furniture_capsule("e", (NAN, 0, 0), (0, 0, 1), 0.1, GREY), "e: start must be finite"),
+    ],
+)
+def test_what_is_not_finite_or_has_no_size_does_not_stand_in_a_scene(
+    arm: URArm, add: Callable[[SceneBuilder], None], said: str
+) -> None:
+    with pytest.raises(BadInputError, match=said):
+        add(SceneBuilder(arm))
 
 
 def test_only_the_arms_own_joints_are_moved(workcell: Workcell, arm: URArm) -> None:

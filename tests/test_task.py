@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -38,6 +40,19 @@ def test_what_breaks_a_rule_is_refused_by_name(shelf_task: ShelfTask, field: str
     with pytest.raises(BadInputError, match=field) as caught:
         with_fields(shelf_task, **{field: value})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "place"),
+    [
+        ("waypoints", [[0.5, 0.0, 0.4], [500, 0.0, 440], [0.5, 0.2, 0.4]], "waypoints[1]"),
+        ("compartment_corner_m", [500, 0.0, 440], "compartment_corner_m"),
+    ],
+)
+def test_millimetres_are_refused(shelf_task: ShelfTask, field: str, value: object, place: str) -> None:
+    expected = rf"{re.escape(place)}: must be in metres and within 10 m, found \[500, 0\.0, 440\]"
+    with pytest.raises(BadInputError, match=expected):
+        with_fields(shelf_task, **{field: value})
 
 
 def test_start_and_goal_are_the_ends_of_the_path(shelf_task: ShelfTask) -> None:

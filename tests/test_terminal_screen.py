@@ -133,7 +133,7 @@ def test_the_amounts_are_those_of_the_poses(shelf_task: ShelfTask, asked: Questi
     assert screen.nearer(asked, shelf_task) == f"{abs(gain):.1f} mm {'nearer' if gain >= 0 else 'farther'}"
     same = replace(asked, predicted=asked.reached)
     assert screen.opinion(same) == "2.1 mm, 0° off it"
-    assert screen.told(Answer(False, "", better=8)) == "wrong: better +z"
+    assert screen.told(Answer(False, "anna", better=8)) == "wrong: better +z"
 
 
 @settings(max_examples=30)

@@ -1,7 +1,11 @@
+from typing import Any
+
+import numpy as np
 import pytest
 from parts import Parts, with_fields
 
 from koopdqn.errors import BadInputError
+from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 
@@ -25,3 +29,28 @@ def test_a_workcell_in_which_the_task_cannot_be_done_is_refused(
 ) -> None:
     with pytest.raises(BadInputError, match=message):
         open_workcell(with_fields(parts.task, **changes), parts.arm)
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "said"),
+    [
+        ("orientation", property(lambda task: "hold"), "be 'held' or 'learned', as a property, found 'hold'"),
+        ("orientation", lambda task: "held", "be 'held' or 'learned', as a property, found <bound method"),
+        ("rule", lambda task: "none", "be a text, as a property, found <bound method"),
+        ("turned", lambda task, share: 0.5, r"return finite shares of shape \(101,\), found 0.5"),
+        ("turned", lambda task, share: share[:, None], r"found an array of float64 of shape \(101, 1\)"),
+        ("turned", lambda task, share: np.nan * share, r"finite shares .* found an array .* nan, nan"),
+        ("rule_broken", lambda task, poses: None, r"return booleans of shape \(\d+,\), one a pose, found None"),
+        ("rule_broken", lambda task, poses: poses[:, :1] > 9, r"found an array of bool of shape \(\d+, 1\)"),
+        ("rule_broken", lambda task, poses: poses[:, 2] - 0.9, "one a pose, found an array of float64"),
+        ("rule_broken", lambda task, poses: np.zeros(3, dtype=bool), r"found an array of bool of shape \(3,\)"),
+        ("measures", lambda task, path, step_seconds: 1.0, "return a dict of a number by each name, found 1.0"),
+        ("measures", lambda task, path, step_seconds: {"x": path[0]}, "a number by each name, found {'x': array"),
+    ],
+)
+def test_what_a_method_of_ones_own_returns_is_checked_before_any_work(
+    parts: Parts, name: str, own: Any, said: str
+) -> None:
+    cls: Any = type("Own", (ShelfTask,), {name: own, "__module__": __name__})
+    with pytest.raises(BadInputError, match=f"task shelf: {name} must .*{said}"):
+        open_workcell(cls.model_construct(**dict(parts.task)), parts.arm)

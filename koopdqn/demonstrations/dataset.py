@@ -9,10 +9,9 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
+from koopdqn.settings import FARTHEST_M
 
 _QUATERNION_TOLERANCE = 1e-3
-# No arm here reaches so far [m]; a file in millimetres does.
-_FARTHEST_M = 10.0
 
 
 def _frozen(values: Array) -> Array:
@@ -52,9 +51,9 @@ class Demonstration:
         if np.any(np.diff(self.times) <= 0):
             raise BadInputError(f"times must increase, found {int(np.sum(np.diff(self.times) <= 0))} that do not")
         farthest = np.abs(poses[:, pose.POSITION]).max()
-        if farthest > _FARTHEST_M:
+        if farthest > FARTHEST_M:
             raise BadInputError(
-                f"positions must be in metres and within {_FARTHEST_M:g} m of the base, found {farthest:g}"
+                f"positions must be in metres and within {FARTHEST_M:g} m of the base, found {farthest:g}"
             )
         length = np.linalg.norm(poses[:, pose.QUATERNION], axis=1)
         if np.any(np.abs(length - 1) > _QUATERNION_TOLERANCE):

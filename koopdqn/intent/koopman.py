@@ -129,7 +129,7 @@ class KoopmanModel:
         weight = np.ones(len(before)) if weight is None else weight
 
         def lifted(rows: slice) -> tuple[Array, Array, Array]:
-            now, then = (fitted.lift((states[rows] - center) / scale) for states in (before, after))
+            now, then = (fitted.lift_to_fit((states[rows] - center) / scale) for states in (before, after))
             return now, then, weight[rows]
 
         if len(before) < _AT_ONCE:
@@ -150,7 +150,7 @@ class KoopmanModel:
     ) -> "list[KoopmanModel]":
         """Return the model of each ridge, with the state's rows (d, D) of K only: enough to predict."""
         fitted = observables.fitted_to((before - center) / scale)
-        rows = koopman_rows(fitted.lift((before - center) / scale), (after - center) / scale, weight, ridges)
+        rows = koopman_rows(fitted.lift_to_fit((before - center) / scale), (after - center) / scale, weight, ridges)
         return [cls(fitted, center, scale, matrix) for matrix in rows]
 
     def lift(self, states: Array) -> Array:

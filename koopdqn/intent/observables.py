@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from koopdqn import pose
+from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
-from koopdqn.settings import Floats, Interval, Settings, load_settings
+from koopdqn.settings import Floats, Interval, Settings, load_settings, shown
 
 
 class Observables(Settings, ABC):
@@ -21,8 +22,32 @@ class Observables(Settings, ABC):
     """
 
     def lift(self, states: Array) -> Array:
-        """Return the lifted states (N, D) of states (N, d)."""
-        return np.concatenate([states, self.features(states)], axis=1)
+        """Return the lifted states (N, D) of states (N, d).
+
+        Raises:
+            BadInputError: the features are no real numbers (N, D − d).
+        """
+        features = np.asarray(self.features(states))
+        if features.ndim != 2 or len(features) != len(states) or features.dtype.kind not in "fiub":
+            found = f"{features.dtype} of shape {features.shape}"
+            raise self._must_return(f"real numbers of shape ({len(states)}, any number), a row a state", found)
+        return np.concatenate([states, features], axis=1)
+
+    def lift_to_fit(self, states: Array) -> Array:
+        """Return :meth:`lift` of states (N, d) that a model is fitted to.
+
+        Raises:
+            BadInputError: the features of finite states are not real numbers (N, D − d), or not finite.
+        """
+        lifted = self.lift(states)
+        if not np.isfinite(lifted).all() and np.isfinite(states).all():
+            row = int(np.isfinite(lifted).all(axis=1).argmin())
+            features = shown(lifted[row, states.shape[1] :].tolist())
+            raise self._must_return("finite numbers", f"{features} of a state {states[row].tolist()}")
+        return lifted
+
+    def _must_return(self, rule: str, found: str) -> BadInputError:
+        return BadInputError(f"observables {type(self).__name__}: features must return {rule}, found {found}")
 
     def project(self, lifted: Array, dimension: int) -> Array:
         """Return the states (N, d) of lifted states (N, D): the inverse g⁻¹, Eq. 14."""

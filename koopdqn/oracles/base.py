@@ -1,17 +1,18 @@
 """The oracle: who says right or wrong where the intent model is not trusted (getHumanFeedback in Algorithm 1)."""
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from koopdqn.errors import KoopdqnError
+from koopdqn.errors import BadInputError, KoopdqnError
 from koopdqn.pose import Array
-from koopdqn.settings import Count, Name, Settings
+from koopdqn.settings import Count, Name, Settings, shown
 
 if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Workcell
@@ -98,7 +99,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer.
+    """An answer. NumPy's own booleans and numbers become Python's.
 
     Attributes:
         right: whether the action was right; None if the question was skipped, which is not a no.
@@ -117,6 +118,27 @@ class Answer:
     better: int | None = None
     undo: int = 0
     again: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise BadInputError if a value is none that it may be."""
+        for name, (rule, holds) in _RULES.items():
+            value = getattr(self, name)
+            if isinstance(value, np.generic):
+                value = value.item()
+                object.__setattr__(self, name, value)
+            if not holds(value):
+                raise BadInputError(f"{name}: must be {rule}, found {shown(value)}")
+
+
+# An oracle of one's own may return anything, and what is not False would count as a yes.
+_RULES: Final[dict[str, tuple[str, Callable[[Any], bool]]]] = {
+    "right": ("True, False or None", lambda value: value is None or isinstance(value, bool)),
+    "source": ("a text that is not empty", lambda value: isinstance(value, str) and value != ""),
+    "seconds": ("a finite number, 0 or above", lambda value: isinstance(value, int | float) and 0 <= value < math.inf),
+    "better": ("a whole number or None", lambda value: value is None or type(value) is int),
+    "undo": ("a whole number", lambda value: type(value) is int),
+    "again": ("True or False", lambda value: isinstance(value, bool)),
+}
 
 
 class Oracle(ABC):

@@ -9,7 +9,7 @@ import numpy as np
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Earlier, Oracle, OracleSettings, Question
 from koopdqn.oracles.journal import AnswerLine, JournalFile, Record, Records, UndoLine, read_records
-from koopdqn.settings import PathText
+from koopdqn.settings import PathText, shown
 from koopdqn.tasks.actions import COUNT
 
 if TYPE_CHECKING:
@@ -111,7 +111,8 @@ class JournalledOracle(Oracle):
     def _asked(self, question: Question) -> Answer:
         while True:
             answer = self._oracle.answer(replace(question, earlier=tuple(self._earlier)))
-            _check_answer(answer, len(self._earlier), question)
+            check_answer(answer, question)
+            _check_said(answer, len(self._earlier), question)
             for _ in range(answer.undo):
                 self._file.append(_undo_line(self._earlier.pop(), question))
             self._pending += answer.undo
@@ -159,7 +160,7 @@ def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
         )
     answer = record.answer
     try:
-        _check_better(answer, question)
+        check_answer(answer, question)
     except BadInputError as error:
         raise BadInputError(f"journal {path}: answer {line.number}: {error}") from error
     return answer
@@ -176,10 +177,9 @@ def _check(path: Path, records: Records, position: int) -> None:
         )
 
 
-def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None:
+def _check_said(answer: Answer, withdrawable: int, question: Question) -> None:
     if not 0 <= answer.undo <= withdrawable:
         raise BadInputError(f"undo: must be 0 to {withdrawable}, the answers that stand, found {answer.undo}")
-    _check_better(answer, question)
     if answer.better is not None and answer.right is not (answer.better == question.action):
         raise BadInputError(
             f"right: must be true exactly if the better action is the one asked about ({question.action}), found"
@@ -187,8 +187,10 @@ def _check_answer(answer: Answer, withdrawable: int, question: Question) -> None
         )
 
 
-def _check_better(answer: Answer, question: Question) -> None:
-    """Raise BadInputError if the action named as better is none, or one that is never right there."""
+def check_answer(answer: object, question: Question) -> None:
+    """Raise BadInputError if it is no answer, or names as better what is no action or is never right there."""
+    if not isinstance(answer, Answer):
+        raise BadInputError(f"oracle: answer must return a koopdqn.oracles.base.Answer, found {shown(answer)}")
     named = COUNT if question.candidates is None else len(question.candidates)
     if answer.better is None:
         return

@@ -7,6 +7,7 @@ import numpy as np
 
 from koopdqn.intent.reward import ASKED, BY_MODEL, NO_ANSWER, REMEMBERED, ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Answer, Oracle, Question
+from koopdqn.oracles.replay import check_answer
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
@@ -162,6 +163,7 @@ class Feedback:
         left = None if self._budget.most is None else self._budget.most - self.questions
         number = self.questions
         answer = self._oracle.answer(replace(question, number=number, left=left))
+        check_answer(answer, question)
         self.questions += 1
         reopened = self._withdraw(answer.undo) if answer.undo else []
         if answer.better is not None:

@@ -13,6 +13,7 @@ from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.pose import Array
 from koopdqn.resources import asset_path
 from koopdqn.robot.arm import Arm, Calibrated
+from koopdqn.settings import shown
 
 _ARENA = "arena.xml"
 _FLOOR = "floor"
@@ -44,13 +45,19 @@ class SceneBuilder:
     def furniture_box(
         self, name: str, center: Sequence[float], half_size: Sequence[float], rgba: Sequence[float]
     ) -> None:
-        """Add a box that stands still: center and half sizes (3,) [m] in the world."""
+        """Add a box that stands still: center and half sizes (3,) [m] in the world.
+
+        Raises:
+            BadInputError: a number is not finite, or a size not positive; so do the three below.
+        """
+        _check_numbers(name, center=center, half_size=half_size)
         self._arena.worldbody.add("geom", name=name, type="box", pos=center, size=half_size, rgba=rgba)
 
     def furniture_capsule(
         self, name: str, start: Sequence[float], end: Sequence[float], radius: float, rgba: Sequence[float]
     ) -> None:
         """Add a capsule that stands still, between two points (3,) [m] in the world."""
+        _check_numbers(name, start=start, end=end, radius=radius)
         ends = [*start, *end]
         self._arena.worldbody.add("geom", name=name, type="capsule", fromto=ends, size=[radius], rgba=rgba)
 
@@ -64,6 +71,7 @@ class SceneBuilder:
         payload: bool = False,
     ) -> None:
         """Add a box to the tool: center and half sizes (3,) [m] in the flange frame, mass [kg]."""
+        _check_numbers(name, center=center, half_size=half_size, mass=mass)
         self._grip.add(
             "geom", name=_tool_name(name, payload), type="box", pos=center, size=half_size, rgba=rgba, mass=mass
         )
@@ -79,6 +87,7 @@ class SceneBuilder:
         payload: bool = False,
     ) -> None:
         """Add a cylinder to the tool, between two points (3,) [m] in the flange frame, mass [kg]."""
+        _check_numbers(name, start=start, end=end, radius=radius, mass=mass)
         ends = [*start, *end]
         self._grip.add(
             "geom", name=_tool_name(name, payload), type="cylinder", fromto=ends, size=[radius], rgba=rgba, mass=mass
@@ -153,6 +162,16 @@ def _spare_mounting(robot: Any) -> None:
                 robot.contact.add("exclude", body1=mount, body2=body)
             else:
                 mounts.append(body)
+
+
+def _check_numbers(name: str, **quantities: float | Sequence[float]) -> None:
+    """Raise BadInputError if a quantity of a thing is not finite: MuJoCo takes NaN, and then collides with nothing."""
+    for quantity, value in quantities.items():
+        numbers = np.asarray(value, dtype=float)
+        if not np.isfinite(numbers).all():
+            raise BadInputError(f"the scene's {name}: {quantity} must be finite, found {shown(value)}")
+        if quantity in ("half_size", "radius") and not (numbers > 0).all():
+            raise BadInputError(f"the scene's {name}: {quantity} must be above 0, found {shown(value)}")
 
 
 def _tool_name(name: str, payload: bool) -> str:

@@ -8,7 +8,7 @@ from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.settings import Fraction, Settings, Vector3
+from koopdqn.settings import Fraction, Metres3, Settings, Vector3
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ class Limb(Settings):
     """A part of the receiver: a capsule between two points in UR Base."""
 
     name: str
-    start: Vector3
-    end: Vector3
+    start: Metres3
+    end: Metres3
     radius_m: float = Field(gt=0)
     skin: bool
 
@@ -39,8 +39,8 @@ class Block(Settings):
     """A piece of furniture: a box along the axes of UR Base."""
 
     name: str
-    center_m: Vector3
-    size_m: Vector3
+    center_m: Metres3
+    size_m: Metres3
 
 
 class KnifeTask(Task):

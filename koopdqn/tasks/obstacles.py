@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, Strict, model_validator
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
-from koopdqn.settings import Settings, Vector3, Vector4, plain, validate
+from koopdqn.settings import FARTHEST_M, Metres3, Settings, Vector4, plain, shown, validate
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -33,12 +33,13 @@ class Obstacle(Settings):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     shape: Literal["box", "sphere", "cylinder", "mesh"]
-    center_m: Vector3 = Field(description="in UR Base; of a mesh, the origin of its vertices [m]")
+    center_m: Metres3 = Field(description="in UR Base; of a mesh, the origin of its vertices [m]")
     quaternion: Vector4 = Field(default=(1.0, 0.0, 0.0, 0.0), description="w, x, y, z in UR Base")
-    size_m: Vector3 | None = Field(default=None, description="edges of a box [m]")
-    radius_m: float | None = Field(default=None, gt=0, description="of a sphere or a cylinder [m]")
-    height_m: float | None = Field(default=None, gt=0, description="of a cylinder along its z axis [m]")
-    vertices_m: Annotated[tuple[Vector3, ...], Strict(False)] | None = Field(
+    size_m: Metres3 | None = Field(default=None, description="edges of a box [m]")
+    radius_m: float | None = Field(default=None, gt=0, le=FARTHEST_M, description="of a sphere or a cylinder [m]")
+    height_m: float | None = Field(default=None, gt=0, le=FARTHEST_M, description="of a cylinder along its z axis [m]")
+    file: None = Field(default=None, exclude=True, description="an STL or OBJ file of a mesh, read into vertices_m")
+    vertices_m: Annotated[tuple[Metres3, ...], Strict(False)] | None = Field(
         default=None, description="points of a mesh, in its own frame [m]"
     )
     clearance_m: float = Field(default=0.01, ge=0, le=0.5, description="least distance of everything else [m]")
@@ -59,7 +60,8 @@ class Obstacle(Settings):
         for name in _MEASURES:
             value = getattr(self, name)
             if value is None and name in needed:
-                raise ValueError(f"{self.name}: a {self.shape} must have {name}, found none")
+                wanted = "file or vertices_m" if name == "vertices_m" else name
+                raise ValueError(f"{self.name}: a {self.shape} must have {wanted}, found none")
             if value is not None and name not in needed:
                 raise ValueError(f"{self.name}: a {self.shape} must have {' and '.join(needed)} alone, found {name}")
         if self.size_m is not None and min(self.size_m) <= 0:
@@ -125,7 +127,9 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
     except (yaml.YAMLError, UnicodeDecodeError, OmegaConfBaseException, OSError) as error:
         raise BadInputError(f"obstacles {path}: must be YAML, found {' '.join(str(error).split())}") from error
     found = content if isinstance(content, dict) else {"obstacles": content}
-    items = found.get("obstacles")
+    if "obstacles" not in found:
+        raise BadInputError(f"obstacles {path}: must be a list, each item a group of keys, found {shown(content)}")
+    items = found["obstacles"]
     if isinstance(items, list):
         found = {**found, "obstacles": [_beside(path, item) for item in items]}
     return validate(plain(found), _File, "").obstacles

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.settings import Vector3
+from koopdqn.settings import Metres3
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ class ShelfTask(Task):
     grip_m: float = Field(gt=0, description="from the flange to the bottle's axis along the flange's z axis [m]")
     bottle_radius_m: float = Field(gt=0)
     bottle_height_m: float = Field(gt=0)
-    compartment_corner_m: Vector3 = Field(description="least x, y, z inside the compartment [m]")
-    compartment_size_m: Vector3 = Field(description="inner depth, width and height of the compartment [m]")
+    compartment_corner_m: Metres3 = Field(description="least x, y, z inside the compartment [m]")
+    compartment_size_m: Metres3 = Field(description="inner depth, width and height of the compartment [m]")
     lip_m: float = Field(ge=0, description="height of the front lip above the compartment's floor [m]")
 
     @property

@@ -13,7 +13,7 @@ from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
-from koopdqn.settings import Settings, Vector3, Vector4
+from koopdqn.settings import Metres3, Settings, Vector3, Vector4
 from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson, Expert, ReferencePath
 from koopdqn.tasks.start_frame import STILL, StartFrame
@@ -22,7 +22,7 @@ from koopdqn.tasks.step import IN_PLACE
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
 
-Waypoints = Annotated[tuple[Vector3, ...], Strict(False), Field(min_length=2)]
+Waypoints = Annotated[tuple[Metres3, ...], Strict(False), Field(min_length=2)]
 
 # No direction is farther than 54.7° from the nearest axis, an error of 2 sin(54.7°/2) = 0.92 steps; so the step may
 # be at most 1/0.92 tolerances for some action to be right always.
@@ -197,7 +197,12 @@ class Task(TaskChoice):
 
     @cached_property
     def reference_path(self) -> ReferencePath:
-        """The path for the person to follow: through the waypoints, turned as :meth:`turned` says."""
+        """The path for the person to follow: :attr:`waypoint_path`, unless a task says otherwise."""
+        return self.waypoint_path
+
+    @cached_property
+    def waypoint_path(self) -> ReferencePath:
+        """The path through the waypoints, turned as :meth:`turned` says."""
         places = SmoothPath.through(self.waypoints)
         turn = pose.rotation_distance(self.nominal_start, self.goal)
         angle = turn * self.turned(np.linspace(0.0, 1.0, len(places.points)))

@@ -10,6 +10,7 @@ import numpy as np
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
+from koopdqn.settings import shown
 from koopdqn.tasks.task import Task
 
 if TYPE_CHECKING:
@@ -216,8 +217,10 @@ def open_workcell(task: Task, arm: Arm) -> Workcell:
     """Return the workcell of a task and an arm.
 
     Raises:
-        BadInputError: the scene does not compile, or the task's start or goal is not reachable in it.
+        BadInputError: the scene does not compile, the task's start or goal is not reachable in it, or a method of the
+            task's class returns what it may not.
     """
+    _check_methods(task, arm.step_seconds)
     scene = build_scene(task, arm)
     reachability = reachability_in(scene, task, arm)
     reachability.check(task)
@@ -239,6 +242,38 @@ def reachability_in(scene: "Scene", task: Task, arm: Arm) -> Reachability:
         if Reachability(arm, clear, arm.step_seconds, posture).follows(task.demonstrated):
             return Reachability(arm, scene, arm.step_seconds, posture)
     return Reachability(arm, scene, arm.step_seconds, nearest)
+
+
+def _check_methods(task: Task, step_seconds: float) -> None:
+    """Raise BadInputError if a method of the task's class, along its waypoints, does not return what others count on.
+
+    Otherwise it would be noticed in training, or only in the evaluation after it.
+    """
+    if task.orientation not in ("held", "learned"):
+        raise _returns(task, "orientation", "be 'held' or 'learned', as a property", task.orientation)
+    if not isinstance(task.rule, str):
+        raise _returns(task, "rule", "be a text, as a property", task.rule)
+    share = np.linspace(0.0, 1.0, 101)
+    turned = task.turned(share)
+    if not _is_array(turned, share.shape, "fiu") or not np.isfinite(turned).all():
+        raise _returns(task, "turned", f"return finite shares of shape {share.shape}", turned)
+    path = task.waypoint_path.poses
+    broken = task.rule_broken(path)
+    if not _is_array(broken, (len(path),), "b"):
+        raise _returns(task, "rule_broken", f"return booleans of shape {(len(path),)}, one a pose", broken)
+    measures = task.measures(path, step_seconds)
+    values = measures.values() if isinstance(measures, dict) else [None]
+    if not all(isinstance(each, int | float | np.number) for each in values):
+        raise _returns(task, "measures", "return a dict of a number by each name", measures)
+
+
+def _is_array(found: object, shape: tuple[int, ...], kinds: str) -> bool:
+    return isinstance(found, np.ndarray) and found.shape == shape and found.dtype.kind in kinds
+
+
+def _returns(task: Task, name: str, rule: str, found: object) -> BadInputError:
+    kind = f"an array of {found.dtype} of shape {found.shape}, " if isinstance(found, np.ndarray) else ""
+    return BadInputError(f"task {task.name}: {name} must {rule}, found {kind}{shown(found)}")
 
 
 def build_scene(task: Task, arm: Arm) -> "Scene":

@@ -13,9 +13,8 @@ from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
+from koopdqn.settings import FARTHEST_M
 
-# No arm reaches so far [m]; one in millimetres or centimetres soon does.
-_FARTHEST_M: Final = 10.0
 # No rotation vector and no angle in radians is larger.
 _LARGEST_RAD: Final = 2.0 * np.pi + 0.1
 _LENGTH_TOLERANCE: Final = 0.01
@@ -115,15 +114,15 @@ def _position(recording: Recording, declared: ImportSettings, reasons: list[str]
     units = declared.units or recording.units
     largest = float(np.abs(values).max(initial=0.0))
     if units is None:
-        if largest > _FARTHEST_M:
+        if largest > FARTHEST_M:
             raise _ask(recording, "units", f"mm or cm, as the largest coordinate is {largest:g}, too far in metres")
-        reasons.append(f"in metres, as no coordinate is over {_FARTHEST_M:g} (largest {largest:.3g})")
+        reasons.append(f"in metres, as no coordinate is over {FARTHEST_M:g} (largest {largest:.3g})")
         return values
     reasons.append(f"in {units}, as {'declared' if declared.units else 'its format or a name says'}")
     metres = values * METRES[units]
-    if largest * METRES[units] > _FARTHEST_M:
+    if largest * METRES[units] > FARTHEST_M:
         raise BadInputError(
-            f"demos {recording.where}: positions must be within {_FARTHEST_M:g} m, found {largest:g} {units}"
+            f"demos {recording.where}: positions must be within {FARTHEST_M:g} m, found {largest:g} {units}"
         )
     return metres
 
