@@ -196,6 +196,13 @@ def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert names["evaluation"].report["path_deviation_mm"]["mean"] == deviation
 
 
+def test_the_guard_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = ROOT / "docs" / "safety.md"
+    [example] = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    exec(compile(example, page.name, "exec"), {})
+    assert "Refusal(" in capsys.readouterr().out
+
+
 def test_a_config_is_composed_in_python_where_no_command_has_begun() -> None:
     example = (
         "from koopdqn.app.commands.configuration import Configuration; from koopdqn.app.hydra.compose import composed;"

@@ -294,6 +294,18 @@ def test_misuse_is_told(env_parts: EnvironmentParts) -> None:
         many.step(np.array([0.0, np.nan, 1.0]))
 
 
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [(lambda seen: [10] * len(seen), "from 0 to 9, found 10"), (lambda seen: None, r"shape \(4,\), found \(\)")],
+)
+def test_what_is_chosen_where_success_is_measured_is_checked(
+    env_parts: EnvironmentParts, chosen: Any, words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        env_parts.success_rate(chosen, 4)
+    assert env_parts.success_rate(lambda seen: [4] * len(seen), 4) == 0.0  # type: ignore[arg-type,return-value]
+
+
 def test_where_orientation_is_learned_the_rotation_vector_is_observed() -> None:
     space = observation_space(api.open_workcell(api.load_config("task=knife")))
     assert space.shape == (8,)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from koopdqn import pose
 from koopdqn.artifact import Artifact, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.intent.bend import CORRECTED, Bend
@@ -47,7 +48,12 @@ class Policy:
         """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7).
 
         They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6).
+
+        Raises:
+            BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.
         """
+        pose.check(poses, "poses")
+        pose.check(starts, "starts")
         values = self.values(poses, starts)
         return in_balls(values.astype(np.float64)) if self.continuous else np.asarray(values.argmax(axis=1))
 
