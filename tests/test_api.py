@@ -117,6 +117,9 @@ def test_what_is_of_another_task_is_refused(small: Made) -> None:
     with pytest.raises(BadInputError, match="policy must be of task knife, found task shelf"):
         koopdqn.evaluate(knife, own, koopdqn.fit(knife, own), trained)
     assert koopdqn.evaluate(config, demonstrations, intent, trained).report["task"] == "shelf"
+    continuous = koopdqn.load_config("task=shelf", "actions=continuous")
+    with pytest.raises(BadInputError, match="actions: must be those of the policy, table1, found continuous"):
+        koopdqn.evaluate(continuous, demonstrations, intent, trained)
 
 
 def test_who_answers_must_be_an_oracle_that_can(small: Made, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,10 +132,9 @@ def test_what_a_policy_of_others_chooses_is_checked(words: str) -> None:
 
 def test_a_policy_of_others_may_choose_by_a_list() -> None:
     starts, joints = held_out(2)
-    listed, array = (
-        guard(tube=False).roll_out(policy, starts, joints, 5)
-        for policy in (lambda poses, starts: [8] * len(poses), constant(8))  # type: ignore[list-item]
-    )
+    keeper, eights = guard(tube=False), [8, 8]
+    listed = keeper.roll_out(lambda poses, starts: eights, starts, joints, 5)  # type: ignore[arg-type,return-value]
+    array = keeper.roll_out(constant(8), starts, joints, 5)
     assert [each.poses.tolist() for each in listed] == [each.poses.tolist() for each in array]
 
 

@@ -187,8 +187,11 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
     """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``).
 
     Raises:
-        BadInputError: demonstrations, intent or policy are of another task.
+        BadInputError: demonstrations, intent or policy are of another task, or the policy has other actions.
     """
+    taken, found = ("continuous" if each else "table1" for each in (trained.policy.continuous, config.agent.continuous))
+    if taken != found:
+        raise BadInputError(f"actions: must be those of the policy, {taken}, found {found}")
     if trained.policy.task.name != config.task.name:
         raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
     workcell = open_workcell(config)
