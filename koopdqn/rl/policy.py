@@ -14,7 +14,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
 from koopdqn.rl.settings import NetworkSettings
-from koopdqn.settings import validate
+from koopdqn.settings import typed, validate
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
@@ -99,6 +99,7 @@ def write_corrected(path: Path, source: Path, bend: Bend) -> None:
     write_artifact(path, Artifact(KIND, arrays, held.about))
 
 
+@typed
 def read_policy(path: str | Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
     """Read a policy for a task, and its metadata.
 
