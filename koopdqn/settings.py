@@ -66,7 +66,8 @@ def _line(error: ErrorDetails, content: Mapping[str, Any], model: type[BaseModel
         message = message.partition(", ")[2] or message
     message = _in_house_words(message)
     # a model's own check sees all its fields at once and says itself what it found
-    if error["type"] in _OWN_CHECK and ("found" in message or isinstance(error["input"], Mapping)):
+    of_model = isinstance(error["input"], Mapping) and _model_at(model, location)
+    if error["type"] in _OWN_CHECK and ("found" in message or of_model):
         return f"{key}: {message}"
     return f"{key}: {message}, found {shown(error['input'])}"
 

@@ -71,6 +71,16 @@ _NOISE = ("See https://", "object_type=", "reference_type=", "full_key:")
 _TORCH_ALLOCATOR = "can't allocate memory"
 
 
+_EXTRAS: Final = {
+    "joblib": "joblib",
+    "submitit_slurm": "slurm",
+    "submitit_local": "slurm",
+    "ray": "ray",
+    "optuna": "optuna",
+}
+"""The extra that brings each launcher and sweeper."""
+
+
 def explain(error: BaseException) -> KoopdqnError | None:
     """Return the error that tells the user what ``error`` means, or None if it is a fault of the program.
 
@@ -133,6 +143,9 @@ def _missing_config(error: BaseException) -> BadInputError:
     options = getattr(error, "options", None)
     if name and options is not None:
         group, _, option = str(name).rpartition("/")
+        if group.startswith("hydra/") and option in _EXTRAS:
+            extra = f"koopdqn[{_EXTRAS[option]}]"
+            return BadInputError(f"{group}={option} needs an extra, found it not installed: pip install '{extra}'")
         kind = f"option of {group}" if group else "config"
         return unknown_name(kind, option, options) if options else BadInputError(f"no config group {group!r} ({name})")
     return BadInputError(_in_one_line(str(error)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from koopdqn.app.hydra.record import PATH_NAMES, Recorded, check_record, read_record
+from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record
 from koopdqn.errors import BadInputError
 from koopdqn.settings import shown
 
@@ -266,6 +266,8 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
+    if name in GROUPS and (value == "null" or _NUMBER_OR_BOOLEAN.fullmatch(value)):
+        raise BadInputError(f"{name}: must name an option, found {value}")
     if name == "obstacles":
         return _obstacles(value)
     if name == "goal" and command != "eval":
