@@ -56,9 +56,9 @@ def _files(path: Path) -> tuple[Path, ...]:
     try:
         found = mujoco.mju_getXMLDependencies(str(path))
     except mujoco.FatalError:
-        # Compiling says better what is wrong.
-        return (path,)
-    return path, *sorted({Path(each).resolve() for each in found} - {path})
+        found = []
+    # What is wrong, or missing, compiling says better.
+    return path, *sorted({Path(each).resolve() for each in found if Path(each).is_file()} - {path})
 
 
 def _digest(files: tuple[Path, ...]) -> str:
