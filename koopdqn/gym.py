@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from koopdqn.errors import BadInputError
 from koopdqn.files import digest
+from koopdqn.settings import shown
 
 try:
     import gymnasium
@@ -107,6 +108,8 @@ def environment_parts(
     from koopdqn.app import api
 
     more = [overrides] if isinstance(overrides, str) else overrides
+    if not isinstance(more, Sequence):
+        raise BadInputError(f"overrides: must be a text such as 'seed=3', or several, found {shown(overrides)}")
     config = api.load_config(
         f"task={task}", f"actions={actions}", *_demos(demonstrations), *more, config_dir=config_dir
     )

@@ -10,12 +10,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from koopdqn.errors import BadInputError
+
 Array = NDArray[np.float64]
 
 POSITION: Final = slice(0, 3)
 QUATERNION: Final = slice(3, 7)
 IDENTITY: Final[tuple[float, ...]] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
+_LENGTH_TOLERANCE: Final = 1e-3
 _SMALL_ANGLE = 1e-8
 _EPSILON = float(np.finfo(float).eps)
 # Row i of left.w, left.x, left.y, left.z times these entries of the right quaternion, so signed, adds up to w, x, y, z.
@@ -37,6 +40,25 @@ def make(position: ArrayLike, quaternion: ArrayLike) -> Array:
     pose[..., POSITION] = position
     pose[..., QUATERNION] = quaternion
     return pose
+
+
+def check(poses: ArrayLike, what: str) -> None:
+    """Check poses that come from outside; ``what`` names them in the message.
+
+    Raises:
+        BadInputError: they are of another shape than (N, 7) or not finite, or a quaternion has not unit length.
+    """
+    given = np.asarray(poses, dtype=float)
+    if given.ndim != 2 or given.shape[1] != 7:
+        raise BadInputError(f"{what} must have shape (N, 7), found {given.shape}")
+    if not np.isfinite(given).all():
+        raise BadInputError(f"{what} must be finite, found NaN or infinity")
+    length = norm(given[:, QUATERNION])
+    off = np.abs(length - 1.0) > _LENGTH_TOLERANCE
+    if off.any():
+        raise BadInputError(
+            f"{what} must hold quaternions of length 1 within {_LENGTH_TOLERANCE}, found {length[off][0]:g}"
+        )
 
 
 def normalized(quaternion: ArrayLike) -> Array:

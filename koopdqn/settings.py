@@ -1,11 +1,14 @@
 """Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
 
-import importlib
+import functools
+import importlib.util
 import inspect
+import sys
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar
+from types import NoneType
+from typing import Annotated, Any, Final, ParamSpec, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
@@ -63,7 +66,8 @@ def _line(error: ErrorDetails, content: Mapping[str, Any], model: type[BaseModel
         message = message.partition(", ")[2] or message
     message = _in_house_words(message)
     # a model's own check sees all its fields at once and says itself what it found
-    if error["type"] in _OWN_CHECK and ("found" in message or isinstance(error["input"], Mapping)):
+    of_model = isinstance(error["input"], Mapping) and _model_at(model, location)
+    if error["type"] in _OWN_CHECK and ("found" in message or of_model):
         return f"{key}: {message}"
     return f"{key}: {message}, found {shown(error['input'])}"
 
@@ -128,8 +132,33 @@ def shown(value: object) -> str:
 FARTHEST_M: Final = 10.0
 """No arm reaches so far [m]; lengths in millimetres or centimetres soon do."""
 
+P = ParamSpec("P")
 T = TypeVar("T")
 Model = TypeVar("Model", bound=BaseModel)
+
+
+def typed(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function that checks its arguments by their annotations, where these are classes that exist.
+
+    Raises:
+        BadInputError: on a call, an argument is of another class.
+    """
+    signature = inspect.signature(function)
+    known = {}
+    for name, parameter in signature.parameters.items():
+        classes = typing.get_args(parameter.annotation) or (parameter.annotation,)
+        if parameter.kind is not parameter.VAR_POSITIONAL and all(isinstance(each, type) for each in classes):
+            known[name] = classes
+
+    @functools.wraps(function)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> T:
+        for name, value in signature.bind(*args, **kwargs).arguments.items():
+            if name in known and not isinstance(value, known[name]):
+                wanted = [_full_name(each).removeprefix("builtins.") for each in known[name] if each is not NoneType]
+                raise BadInputError(f"{name}: must be a {' or '.join(wanted)}, found {shown(value)}")
+        return function(*args, **kwargs)
+
+    return checked
 
 
 class Settings(BaseModel):
@@ -168,6 +197,12 @@ def _to_modules(value: object) -> object:
     values = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
     if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
         raise ValueError("must be the dotted name of a module, or a list of them in brackets")
+    for each in values:
+        if not _can_be_found(each):
+            raise ValueError(
+                f"must name modules that can be found, found none called {each}; the folder it lies in must be on"
+                " PYTHONPATH"
+            )
     return tuple(values)
 
 
@@ -175,6 +210,13 @@ def _in_metres(values: tuple[float, float, float]) -> tuple[float, float, float]
     if max(map(abs, values)) > FARTHEST_M:
         raise ValueError(f"must be in metres and within {FARTHEST_M:g} m")
     return values
+
+
+def _can_be_found(module: Any) -> bool:
+    try:
+        return module in sys.modules or importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
 
 
 Positive = Annotated[float, Field(gt=0)]

@@ -22,7 +22,12 @@ def trusting(modules: Sequence[str]) -> Iterator[None]:
 
     Args:
         modules: dotted names, such as ``my_lab.tasks``.
+
+    Raises:
+        BadInputError: they are one text, not several.
     """
+    if isinstance(modules, str):
+        raise BadInputError(f"modules: must be a list of dotted names, found {modules!r}")
     token = _trusted.set((*_trusted.get(), *modules))
     try:
         yield
@@ -46,7 +51,12 @@ def check_target(target: object, what: str, modules: Sequence[str] = ()) -> None
         return
     shown = " ".join(repr(target).split())
     module = str(target).rpartition(".")[0]
-    hint = f"; if you trust that module, add trust_modules={module}" if _DOTTED.fullmatch(str(target)) else ""
+    hint = ""
+    if _DOTTED.fullmatch(str(target)):
+        hint = (
+            f"; if you trust that module, add trust_modules={module}, or from Python read it within"
+            f" koopdqn.untrusted.trusting([{module!r}])"
+        )
     raise BadInputError(f"{what} must name a class of koopdqn, found {shown[:80]}{hint}")
 
 

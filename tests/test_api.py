@@ -3,9 +3,11 @@
 import io
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import hydra
 import numpy as np
 import pytest
 from small_run import SMALL
@@ -117,6 +119,9 @@ def test_what_is_of_another_task_is_refused(small: Made) -> None:
     with pytest.raises(BadInputError, match="policy must be of task knife, found task shelf"):
         koopdqn.evaluate(knife, own, koopdqn.fit(knife, own), trained)
     assert koopdqn.evaluate(config, demonstrations, intent, trained).report["task"] == "shelf"
+    continuous = koopdqn.load_config("task=shelf", "actions=continuous")
+    with pytest.raises(BadInputError, match="actions: must be those of the policy, table1, found continuous"):
+        koopdqn.evaluate(continuous, demonstrations, intent, trained)
 
 
 def test_who_answers_must_be_an_oracle_that_can(small: Made, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -131,11 +136,50 @@ def test_who_answers_must_be_an_oracle_that_can(small: Made, monkeypatch: pytest
         koopdqn.make_env(terminal, demonstrations, intent)
 
 
-@pytest.mark.parametrize("key", ["intent", "run"])
-def test_a_file_that_no_stage_reads_is_refused(small: Made, key: str) -> None:
-    config = koopdqn.load_config("task=shelf", *SMALL, f"{key}=/nowhere/intent.npz")
-    with pytest.raises(BadInputError, match=f"{key}: must be left out, .* found /nowhere/intent.npz"):
-        koopdqn.fit(config, small[1])
+@pytest.mark.parametrize(
+    "override",
+    ["intent=/nowhere/intent.npz", "run=foo", "out=foo", "trust_modules=pouring", "hydra.run.dir=x", "command=eval"],
+)
+def test_what_only_the_command_line_reads_is_refused(override: str) -> None:
+    with pytest.raises(BadInputError, match=f"{override.partition('=')[0]}: must be left out, .* found {override}"):
+        koopdqn.load_config(override)
+
+
+def test_arguments_of_another_class_are_named(small: Made, tmp_path: Path) -> None:
+    config, demonstrations, fitted, _ = small
+    calls: dict[str, tuple[Any, ...]] = {
+        "config: must be a koopdqn.app.commands.configuration.Configuration, found None": (koopdqn.open_workcell, None),
+        "config: must be a .*Configuration, found 'task=shelf'": (koopdqn.generate, "task=shelf"),
+        "demonstrations: must be a .*Demonstrations, found \\[3\\]": (koopdqn.fit, config, [3]),
+        "config: must be a .*Configuration, found Demonstrations": (koopdqn.fit, demonstrations, config),
+        "fitted: must be a koopdqn.intent.fit.Fitted, found": (koopdqn.intent_reward, config, fitted.model),
+        "demonstrations: must be a .*Demonstrations, found Fitted": (koopdqn.train, config, fitted, demonstrations),
+        "trained: must be a koopdqn.app.api.Trained, found None": (
+            *(koopdqn.evaluate, config, demonstrations, fitted, None),
+        ),
+        "task: must be a koopdqn.tasks.task.Task, found Configuration": (koopdqn.read_policy, tmp_path, config),
+        "demos: must be a path or a glob, or several, found 3": (koopdqn.read_demonstrations, 3, "shelf", "UR5"),
+        "arm: must be a str or koopdqn.robot.arm.Arm, found None": (koopdqn.read_demonstrations, "a", "shelf", None),
+        "declared: must be a .*ImportSettings, found {'units': 'mm'}": (
+            *(koopdqn.read_demonstrations, "a", "shelf", "UR5", False, {"units": "mm"}),
+        ),
+    }
+    for words, (function, *arguments) in calls.items():
+        with pytest.raises(BadInputError, match=words):
+            function(*arguments)
+    odd: Any = 3
+    with pytest.raises(BadInputError, match=r"config_dir: must be a str or pathlib\.Path, found 3"):
+        koopdqn.load_config(config_dir=odd)
+
+
+def test_a_program_that_uses_hydra_itself_keeps_its_own(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text("a: 1\n")
+    with hydra.initialize_config_dir(str(tmp_path), version_base="1.2"):
+        with ThreadPoolExecutor(4) as pool:
+            seeds = list(pool.map(lambda seed: koopdqn.load_config(f"seed={seed}").inputs.seed, range(8)))
+        assert seeds == list(range(8))
+        assert hydra.compose("own").a == 1
+        assert str(hydra.version.getbase()) == "1.2"
 
 
 def test_overrides_must_be_texts() -> None:

@@ -128,7 +128,8 @@ def test_help_and_version_end_well(capsys: pytest.CaptureFixture[str]) -> None:
         (["seed=${nowhere"], "the override 'seed=${nowhere' cannot be read"),
         (["out=${nowhere}"], "hydra.run.dir: Interpolation key 'nowhere' not found"),
         (["out="], "out: must name a folder, found ''"),
-        (["task=null"], "Config group override must be a string or a list"),
+        (["task=null"], "task: must name an option, found null"),
+        (["person=3"], "person: must name an option, found 3"),
         (["--sed", "3"], "unknown option --sed of koopdqn train; valid: --cfg, --config-dir"),
         (["--json=1"], "Option '--json' does not take a value"),
         (["--cfg"], "Option '--cfg' requires an argument"),
@@ -142,6 +143,10 @@ def test_help_and_version_end_well(capsys: pytest.CaptureFixture[str]) -> None:
         (["--config-name", "nowhere"], "Cannot find primary config 'nowhere'"),
         (["run=nowhere"], "run: must name the folder of a training run, found no folder 'nowhere'"),
         (["-m", "seed=interval(0,1)"], "BasicSweeper does not support sweep type"),
+        (
+            ["hydra/launcher=ray"],
+            "needs an extra, found it not installed: pip install 'koopdqn[ray]'",
+        ),
         (["hydra/launcher=rocket"], "unknown option of hydra/launcher 'rocket'; valid: basic"),
     ],
 )
@@ -222,6 +227,12 @@ def test_a_sweep_makes_a_folder_a_job_and_a_json_line_a_job(lab: Lab, capsys: py
 def test_a_sweep_over_tasks_stays_in_one_folder(lab: Lab) -> None:
     assert cli.main(["train", "-m", "task=shelf,knife"]) == 0
     assert len({folder.parent for _, _, folder in lab.calls}) == 1
+
+
+def test_a_refused_sweep_leaves_its_folder_to_the_corrected_one(lab: Lab) -> None:
+    assert cli.main(["train", "-m", "task=shelf,knif", "out=sweep"]) == 2
+    assert cli.main(["train", "-m", "task=shelf,knife", "out=sweep"]) == 0
+    assert names(Path("sweep")) == ["0", "1", "multirun.yaml"]
 
 
 def test_a_failing_job_fails_its_sweep_after_the_others_ran(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,9 +37,10 @@ def spoiled(row: int, column: int, value: float) -> Array:
         (np.array([0.0, 1, 2, 3, np.inf]), GOOD, None, "must be finite"),
         (TIMES, spoiled(2, 1, np.nan), None, "must be finite"),
         (TIMES, np.hstack([GOOD[:, :3], 1.01 * GOOD[:, 3:]]), None, "length 1 within 0.001, found 1.01"),
-        (TIMES, GOOD, np.zeros((4, 6)), r"joints must be finite, of shape \(5, joints\), found \(4, 6\)"),
+        (TIMES, GOOD, np.zeros((4, 6)), r"joints must have shape \(5, 6 or more\), found \(4, 6\)"),
+        (TIMES, GOOD, np.zeros((5, 5)), r"joints must have shape \(5, 6 or more\), found \(5, 5\)"),
         (TIMES, GOOD, np.full((5, 6), np.nan), "joints must be finite"),
-        (TIMES, GOOD, np.zeros(5), "joints must be finite, of shape"),
+        (TIMES, GOOD, np.zeros(5), "joints must have shape"),
     ],
 )
 def test_what_is_no_trajectory_is_refused(times: Array, poses: Array, joints: Array | None, message: str) -> None:

@@ -222,3 +222,10 @@ def test_closing_closes_the_oracle(workcell: Workcell, reward: IntentReward) -> 
     clerk = Clerk()
     KoopmanEnvironment(EnvironmentParts(workcell, reward, clerk, 5), 0).close()
     assert clerk.closed
+
+
+def test_the_arm_is_seen_where_it_is_before_the_first_step(make: Make, workcell: Workcell) -> None:
+    environment = make()
+    environment.reset()
+    joints = environment.physics.data.qpos[workcell.scene.joint_index]
+    np.testing.assert_allclose(workcell.arm.forward(joints), environment.pose, atol=1e-6)

@@ -92,6 +92,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text, encoding="utf-8")
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "my_lab.py").touch()
     (tmp_path / "better.csv").write_text("0.436,-0.060,0.563\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -194,6 +195,13 @@ def test_the_python_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     success, deviation = map(float, printed[-1].split())
     assert names["evaluation"].report["success_rate"] == success
     assert names["evaluation"].report["path_deviation_mm"]["mean"] == deviation
+
+
+def test_the_guard_s_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    page = ROOT / "docs" / "safety.md"
+    [example] = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    exec(compile(example, page.name, "exec"), {})
+    assert "Refusal(" in capsys.readouterr().out
 
 
 def test_a_config_is_composed_in_python_where_no_command_has_begun() -> None:

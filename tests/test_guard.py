@@ -112,6 +112,32 @@ def test_what_goes_to_a_wall_is_stopped_by_the_wall_or_the_tube() -> None:
     assert COLLISION in {e.outcome for e in guard(tube=False).roll_out(toward(WALLS["shelf"]), starts, joints, 600)}
 
 
+STRANGE = {
+    r"shape \(2,\), found \(\)": None,
+    r"shape \(2,\), found \(1,\)": [8],
+    "from 0 to 9, found -1": [8, -1],
+    "from 0 to 9, found 10": [10, 8],
+    "a whole number, found": [8.0, 2.5],
+    r"shape \(2, 3\), found \(2, 5\)": np.zeros((2, 5)),
+    "finite, found NaN": [[0.0, 0.0, np.nan]] * 2,
+}
+
+
+@pytest.mark.parametrize("words", STRANGE)
+def test_what_a_policy_of_others_chooses_is_checked(words: str) -> None:
+    starts, joints = held_out(2)
+    with pytest.raises(ValueError, match=f"actions? must (be|have) {words}"):
+        guard().roll_out(lambda poses, starts: STRANGE[words], starts, joints, 5)  # type: ignore[return-value,arg-type]
+
+
+def test_a_policy_of_others_may_choose_by_a_list() -> None:
+    starts, joints = held_out(2)
+    keeper, eights = guard(tube=False), [8, 8]
+    listed = keeper.roll_out(lambda poses, starts: eights, starts, joints, 5)  # type: ignore[arg-type,return-value]
+    array = keeper.roll_out(constant(8), starts, joints, 5)
+    assert [each.poses.tolist() for each in listed] == [each.poses.tolist() for each in array]
+
+
 @cache
 def episodes() -> list[Episode]:
     starts, joints = held_out(STARTS)

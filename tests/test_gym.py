@@ -25,11 +25,12 @@ from koopdqn.app import api
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.envs import display
 from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.envs.dm import KoopmanEnvironment
 from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv, observation_space
 from koopdqn.envs.sb3 import FourierFeatures, StableBaselinesVecEnv
-from koopdqn.errors import BadInputError
+from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.intent.fit import Fitted
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.scripted import ScriptedOracle
@@ -189,6 +190,9 @@ def test_stable_baselines_is_told_how_episodes_ended(env_parts: EnvironmentParts
     assert not np.array_equal(np.asarray(after), before)
     environment.seed(5)
     np.testing.assert_array_equal(environment.reset(), before)
+    single: Any = KoopmanEnv(env_parts)
+    with pytest.raises(BadInputError, match="env: must be a vector environment"):
+        StableBaselinesVecEnv(single)
     with pytest.raises(BadInputError, match="must be SameStep for Stable-Baselines3, found NextStep"):
         StableBaselinesVecEnv(cut_after(2, env_parts, 3, "NextStep"))
 
@@ -243,6 +247,7 @@ def test_a_window_follows_the_arm(env_parts: EnvironmentParts, monkeypatch: pyte
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setitem(sys.modules, "mujoco.viewer", SimpleNamespace(launch_passive=launch))
     monkeypatch.setattr(mujoco, "viewer", SimpleNamespace(launch_passive=launch), raising=False)
+    monkeypatch.setattr(display, "try_window", lambda: None)
     environment = KoopmanEnv(env_parts, render_mode="human")
     _, told = environment.reset(seed=0)
     poses = [told["pose"]]
@@ -260,17 +265,39 @@ def test_a_window_without_a_display_is_refused(env_parts: EnvironmentParts) -> N
         KoopmanEnv(env_parts, render_mode="human")
 
 
+def test_a_display_that_opens_no_window_is_told(env_parts: EnvironmentParts, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: False))
+    with pytest.raises(WorkFailedError, match="the window cannot be opened: this display opens none"):
+        KoopmanEnv(env_parts, render_mode="human").reset()
+
+
 @pytest.mark.parametrize(
     ("keywords", "words"),
     [
         ({"render_mode": "ansi"}, "unknown render_mode 'ansi'; valid: rgb_array"),
-        ({"num_envs": 0}, "num_envs: must be at least 1, found 0"),
+        ({"num_envs": 0}, "num_envs: must be a whole number, 1 or above, found 0"),
+        ({"num_envs": "2"}, "num_envs: must be a whole number, 1 or above, found '2'"),
+        ({"num_envs": 2.5}, "num_envs: must be a whole number, 1 or above, found 2.5"),
         ({"autoreset_mode": "Disabled"}, "unknown autoreset_mode 'Disabled'; valid: NextStep, SameStep"),
     ],
 )
 def test_keywords_that_cannot_be_are_refused(env_parts: EnvironmentParts, keywords: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         KoopmanVectorEnv(env_parts, **{"num_envs": 2, **keywords})
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"overrides": None}, "overrides: must be a text such as 'seed=3', or several, found None"),
+        ({"overrides": 3}, "overrides: must be a text such as 'seed=3', or several, found 3"),
+        ({"overrides": SMALL, "exploring_starts": "no"}, "exploring_starts: must be a bool, found 'no'"),
+    ],
+)
+def test_keywords_of_another_class_are_refused(keywords: dict[str, Any], words: str) -> None:
+    with pytest.raises(BadInputError, match=words):
+        gymnasium.make("koopdqn/Shelf-v0", **keywords)
 
 
 def test_misuse_is_told(env_parts: EnvironmentParts) -> None:
@@ -292,6 +319,18 @@ def test_misuse_is_told(env_parts: EnvironmentParts) -> None:
             many.step(actions)
     with pytest.raises(ValueError, match="action must be a whole number"):
         many.step(np.array([0.0, np.nan, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [(lambda seen: [10] * len(seen), "from 0 to 9, found 10"), (lambda seen: None, r"shape \(4,\), found \(\)")],
+)
+def test_what_is_chosen_where_success_is_measured_is_checked(
+    env_parts: EnvironmentParts, chosen: Any, words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        env_parts.success_rate(chosen, 4)
+    assert env_parts.success_rate(lambda seen: [4] * len(seen), 4) == 0.0  # type: ignore[arg-type,return-value]
 
 
 def test_where_orientation_is_learned_the_rotation_vector_is_observed() -> None:

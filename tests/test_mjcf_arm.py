@@ -1,5 +1,6 @@
 """An arm of any MJCF file: seven joints by damped least squares, six in closed form, and what a file must say."""
 
+import hashlib
 import os
 import re
 import sys
@@ -170,6 +171,54 @@ def test_an_arm_that_slides_or_has_few_joints_is_refused(tmp_path: Path) -> None
     weak.write_text(text.replace(' forcerange="-40 40"', ' forcelimited="false"'), encoding="utf-8")
     with pytest.raises(BadInputError, match="torque_limits: must be given for A5"):
         arm_of(weak)
+
+
+ACTUATOR = '<general name="A3" joint="A3"/>'
+KEY = '<key name="home" qpos="0 0.1 0 1.7 0 -0.2 0"/>'
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({KEY: KEY.replace("1.7", "2.5")}, "home: must lie within -0.2…2.4 rad for A4, found 2.5"),
+        ({ACTUATOR: '<motor name="A3" joint="A3"/>'}, "the actuator of A3 must be a position actuator"),
+        ({ACTUATOR: ""}, "an actuator for every joint, found none for A3"),
+        ({'<body name="base" gravcomp="1">': '<body name="base"><freejoint/>', KEY: ""}, "found a free joint"),
+        ({'<joint name="A3"/>': "<joint/>", ACTUATOR: ""}, "hinges that have names, found 7, 1 without a name"),
+    ],
+)
+def test_what_an_arm_of_a_file_lacks_is_told_when_it_is_loaded(
+    tmp_path: Path, changes: dict[str, str], words: str
+) -> None:
+    text = SEVEN.read_text(encoding="utf-8")
+    for before, after in changes.items():
+        assert before in text
+        text = text.replace(before, after)
+    (tmp_path / "arm.xml").write_text(text, encoding="utf-8")
+    with pytest.raises(BadInputError, match=re.escape(words)):
+        arm_of(tmp_path / "arm.xml")
+
+
+def test_the_digest_is_also_of_what_a_file_includes_and_names(tmp_path: Path, seven: MjcfArm) -> None:
+    assert seven.sha256 == hashlib.sha256(SEVEN.read_bytes()).hexdigest()
+    (tmp_path / "inner.xml").write_text(SEVEN.read_text(encoding="utf-8"), encoding="utf-8")
+    top = tmp_path / "arm.xml"
+    top.write_text(
+        '<mujoco><include file="inner.xml"/><compiler meshdir="parts"/>'
+        '<asset><mesh name="block" file="block.obj"/></asset></mujoco>',
+        encoding="utf-8",
+    )
+    (tmp_path / "parts").mkdir()
+    mesh = tmp_path / "parts" / "block.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    known = arm_of(top).sha256
+    for file in (mesh, tmp_path / "inner.xml"):
+        text = file.read_text(encoding="utf-8")
+        file.write_text(text.replace(" 1\n", " 0.9\n", 1).replace("-2.9 2.9", "-2.8 2.9"), encoding="utf-8")
+        with pytest.raises(BadInputError, match=f"path: must be the file whose SHA-256 is {known}"):
+            arm_of(top, "flange", f"robot.sha256={known}")
+        file.write_text(text, encoding="utf-8")
+        assert arm_of(top).sha256 == known
 
 
 def test_artifacts_hold_the_files_digest_and_not_where_it_lies(seven: MjcfArm) -> None:

@@ -145,7 +145,7 @@ def test_a_goal_out_of_its_region_or_of_a_task_without_one_is_refused() -> None:
     task = _derived().task
     with pytest.raises(BadInputError, match=r"goal: must be at most \[0.08, 0.1, 0.06\] m"):
         task.goal_displacement(tuple((task.goal[:3] + np.array([0.09, 0.0, 0.0])).tolist()))
-    with pytest.raises(BadInputError, match=r"goal: needs a run of a task with goal_half_range_m"):
+    with pytest.raises(BadInputError, match=r"with goal_half_range_m, .* a task of your own whose goal_moves is True"):
         PARTS.task.goal_displacement((0.5, 0.1, 0.5))
 
 

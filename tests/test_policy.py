@@ -41,6 +41,15 @@ def test_a_policy_comes_back_with_what_it_says_of_itself(path: Path, parts: Part
     assert not policy.frame.follows
 
 
+def test_strange_poses_are_refused(path: Path, parts: Parts) -> None:
+    policy, _ = read_policy(path, parts.task)
+    pose = parts.task.nominal_start
+    with pytest.raises(BadInputError, match=r"poses must have shape \(N, 7\), found \(7,\)"):
+        policy(pose, pose[None])
+    with pytest.raises(BadInputError, match="starts must be finite, found NaN"):
+        policy(pose[None], np.nan * pose[None])
+
+
 def following(parts: Parts) -> StartFrame:
     return StartFrame(parts.task.nominal_start[:3], parts.task.goal[:3], follows=True)
 

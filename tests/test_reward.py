@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -6,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koopdqn import pose
+from koopdqn.errors import BadInputError
 from koopdqn.intent.reward import ASKED, RULE, SOURCES, TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.trust import Trust
 from koopdqn.intent.tube import Tube
@@ -245,3 +247,21 @@ def test_an_answer_moves_no_prediction_that_demonstrations_decide(
     np.testing.assert_array_equal(then[shown], before[shown])
     changed = np.abs(then - before).max(axis=1) > 1e-6
     assert changed[~shown].mean() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda poses: poses[0], r"poses must have shape \(N, 7\), found \(7,\)"),
+        (lambda poses: np.nan * poses, "poses must be finite, found NaN"),
+        (lambda poses: 0.5 * poses, r"poses must hold quaternions of length 1 within 0.001, found 0\.5"),
+    ],
+)
+def test_strange_poses_are_refused(
+    reward: IntentReward, trajectories: list[Array], changed: Callable[[Array], Array], words: str
+) -> None:
+    poses = trajectories[0][40:42]
+    with pytest.raises(BadInputError, match=words):
+        reward.evaluate_actions(changed(poses), np.array([40, 41]), poses)
+    with pytest.raises(BadInputError, match=words.replace("poses", "starts")):
+        reward.evaluate_actions(poses, np.array([40, 41]), changed(poses))

@@ -4,6 +4,7 @@ import os
 import pty
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def test_every_sample_is_sent_in_order_and_time_and_the_arm_is_stopped() -> None
 
 @pytest.mark.parametrize(("robot", "period", "own"), [("ur5e", 0.003, 0.002), ("ur5", 0.002, 0.008)])
 def test_the_period_is_one_that_the_controller_can_keep(robot: str, period: float, own: float, tmp_path: Path) -> None:
-    config = load_config(f"robot={robot}", f"program.period_s={period}", "run=somewhere")
+    config = config_of(Path("somewhere"), f"robot={robot}", f"program.period_s={period}")
     with pytest.raises(BadInputError, match=f"must be a multiple of {own} s, .* found {period}"):
         command.run(config, tmp_path)
 
@@ -124,7 +125,8 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def config_of(run: Path, *more: str) -> Configuration:
-    return load_config(f"run='{run}'", *more)
+    config = load_config(*more)
+    return replace(config, inputs=config.inputs.model_copy(update={"run": run}))
 
 
 def test_without_the_flag_nothing_is_sent(run: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_run import SMALL
 
+import koopdqn
 from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration, Inputs
@@ -234,10 +235,22 @@ def test_a_module_named_on_the_command_line_is_trusted(
     evaluation = ["eval", f"run={mine}", "eval.episodes=2", "eval.dynamics=false", "eval.baselines=false"]
     line = refused(capsys, *evaluation)
     assert line.endswith(
-        "must name a class of koopdqn, found 'lab.Mine'; if you trust that module, add trust_modules=lab"
+        "must name a class of koopdqn, found 'lab.Mine'; if you trust that module, add trust_modules=lab, or from"
+        " Python read it within koopdqn.untrusted.trusting(['lab'])"
     )
-    assert cli.main([*evaluation, "trust_modules=other"]) == 2
-    assert cli.main([*evaluation, "trust_modules=[other,lab]", "--json"]) == 0
+    assert cli.main([*evaluation, "trust_modules=json"]) == 2
+    assert "must name modules that can be found, found none called labb" in refused(
+        capsys, *evaluation, "trust_modules=[lab,labb]"
+    )
+    assert cli.main([*evaluation, "trust_modules=[json,lab]", "--json"]) == 0
+    task, policy = (
+        koopdqn.load_config(*SMALL, "task.target=lab.Mine", "+task.extra=4").task,
+        mine / "policy.safetensors",
+    )
+    with pytest.raises(BadInputError, match="modules: must be a list of dotted names, found 'lab'"), trusting("lab"):
+        pass
+    with trusting(["lab"]):
+        assert koopdqn.read_policy(policy, task)[0].task == task
 
 
 def test_what_a_user_gives_again_need_not_lie_in_the_run(run: Path, victim: Path) -> None:

@@ -14,6 +14,7 @@ from helpers_shelf import reward_of, shelf, taught
 from helpers_view import motions, shown
 
 from koopdqn.app import cli
+from koopdqn.envs.display import try_window
 from koopdqn.errors import WorkFailedError
 from koopdqn.intent.tube import Tube
 from koopdqn.plots.style import rgba
@@ -123,7 +124,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
     monkeypatch.setitem(sys.modules, "mujoco.viewer", stand_in)
     monkeypatch.setattr(mujoco, "viewer", stand_in, raising=False)
     monkeypatch.setattr("time.sleep", lambda seconds: None)
-    monkeypatch.setattr(module, "_try_window", lambda: None)
+    monkeypatch.setattr(module, "try_window", lambda: None)
     return made
 
 
@@ -141,7 +142,7 @@ def test_the_arm_follows_the_keys_until_the_window_is_closed(fake: Fake) -> None
 def test_a_display_that_opens_no_window_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "glfw", SimpleNamespace(init=lambda: False))
     with pytest.raises(WorkFailedError, match="the window cannot be opened: this display opens none"):
-        module._try_window()
+        try_window()
 
 
 def test_without_a_display_it_is_refused_in_one_line(

@@ -20,7 +20,7 @@ from koopdqn.intent.fit import Fitted, agent_steps, check_shown
 from koopdqn.intent.fit import fit as fit_intent
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.base import Oracle
-from koopdqn.settings import shown
+from koopdqn.settings import shown, typed
 from koopdqn.tasks.workcell import Workcell
 from koopdqn.tasks.workcell import open_workcell as open_scene
 
@@ -50,6 +50,7 @@ class Trained:
     history: "History"
 
 
+@typed
 def load_config(*overrides: str, config_dir: str | Path | None = None) -> Configuration:
     """Return the config under overrides in Hydra's grammar, such as ``"task=shelf"`` and ``"seed=3"``.
 
@@ -58,7 +59,8 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
         config_dir: a folder of own options, searched beside koopdqn's.
 
     Raises:
-        BadInputError: a key or option is unknown, a value breaks a rule, or ``demos=`` cannot be learned from.
+        BadInputError: a key or option is unknown or of the command line alone, as ``out=`` and ``run=``, a value breaks
+            a rule, or ``demos=`` cannot be learned from.
     """
     odd = [each for each in overrides if not isinstance(each, str)]
     if odd:
@@ -76,6 +78,7 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
     return pipeline.with_task(config, None, keep=False)
 
 
+@typed
 def open_workcell(config: Configuration) -> Workcell:
     """Return task, arm and compiled MuJoCo scene, in which starts are drawn and moves are tried.
 
@@ -88,6 +91,7 @@ def open_workcell(config: Configuration) -> Workcell:
     return open_scene(config.task, config.robot)
 
 
+@typed
 def generate(config: Configuration) -> Demonstrations:
     """Return the demonstrations of ``demos=``, or, where it names none, those of the scripted person.
 
@@ -113,6 +117,7 @@ def generate(config: Configuration) -> Demonstrations:
     return generate_demonstrations(clear.task, clear.reachability, config.demo, seed).demonstrations
 
 
+@typed
 def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
     """Return the intent model K and its trust domain, fitted to demonstrations, with the report of ``fit.json``.
 
@@ -122,14 +127,12 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
 
     Raises:
         BadInputError: the demonstrations are not of the config's task, do not end at its goal or are shorter than a
-            step, or the config names an intent or a run, which only the command line reads.
+            step.
     """
-    for key, named in (("intent", config.inputs.intent_file), ("run", config.inputs.run)):
-        if named is not None:
-            raise BadInputError(f"{key}: must be left out, as nothing but the command line reads it, found {named}")
     return fit_intent(demonstrations, config.task, config.intent, config.trust, config.reward)
 
 
+@typed
 def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
     """Return the reward function (Eqs. 15, 16) of a fitted intent, as if the task had no obstacles.
 
@@ -147,6 +150,7 @@ def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
     return IntentReward(config.task, fitted.model, fitted.trust, config.reward, continuous=config.agent.continuous)
 
 
+@typed
 def reward_around_obstacles(
     config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted
 ) -> IntentReward:
@@ -160,6 +164,7 @@ def reward_around_obstacles(
     return pipeline.reward_of(config, workcell, fitted, agent_steps(demonstrations, config.task))
 
 
+@typed
 def train(
     config: Configuration,
     demonstrations: Demonstrations,
@@ -205,6 +210,7 @@ def train(
     return Trained(trainer.best_policy(), trainer.learned, trainer.questions, trainer.step_limit, trainer.history)
 
 
+@typed
 def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
     """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``).
 
@@ -218,9 +224,12 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
         trained: what :func:`train` returned.
 
     Raises:
-        BadInputError: demonstrations, intent or policy are of another task; the scene does not compile; hardly any
-            start of the region can be taken; or obstacles leave no way.
+        BadInputError: demonstrations, intent or policy are of another task, or the policy has other actions; the scene
+            does not compile; hardly any start of the region can be taken; or obstacles leave no way.
     """
+    taken, found = ("continuous" if each else "table1" for each in (trained.policy.continuous, config.agent.continuous))
+    if taken != found:
+        raise BadInputError(f"actions: must be those of the policy, {taken}, found {found}")
     if trained.policy.task.name != config.task.name:
         raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
     workcell = open_workcell(config)
@@ -235,6 +244,7 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
     )
 
 
+@typed
 def environment_parts(
     config: Configuration,
     demonstrations: Demonstrations,
@@ -278,6 +288,7 @@ def environment_parts(
     )
 
 
+@typed
 def make_env(
     config: Configuration, demonstrations: Demonstrations, fitted: Fitted, oracle: Oracle | None = None
 ) -> "KoopmanEnvironment":
@@ -329,6 +340,4 @@ def _answering(config: Configuration, oracle: Oracle | None, workcell: Workcell,
     if oracle is None:
         config.oracle.check()
         return answering(config.oracle.open(workcell, config.inputs.seed, Path()), config.oracle, reward.model)
-    if not isinstance(oracle, Oracle):
-        raise BadInputError(f"oracle: must be a koopdqn.oracles.base.Oracle, found {shown(oracle)}")
     return oracle

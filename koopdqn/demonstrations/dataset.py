@@ -12,6 +12,7 @@ from koopdqn.pose import Array
 from koopdqn.settings import FARTHEST_M
 
 _QUATERNION_TOLERANCE = 1e-3
+_FEWEST_JOINTS = 6
 
 
 def _frozen(values: Array) -> Array:
@@ -28,7 +29,7 @@ class Demonstration:
     Attributes:
         times: (N,) [s], increasing.
         poses: flange poses (N, 7), quaternions continuous in sign.
-        joints: joint angles (N, 6) [rad], or None where they are not known.
+        joints: joint angles (N, n) [rad] of six joints or more, or None where they are not known.
 
     Raises:
         BadInputError: shapes disagree, a value is not finite, times do not increase, a position is more than
@@ -66,10 +67,11 @@ class Demonstration:
         object.__setattr__(self, "poses", poses)
         object.__setattr__(self, "times", _frozen(self.times))
         if self.joints is not None:
-            if np.ndim(self.joints) != 2 or len(self.joints) != len(poses) or not np.isfinite(self.joints).all():
-                raise BadInputError(
-                    f"joints must be finite, of shape ({len(poses)}, joints), found {np.shape(self.joints)}"
-                )
+            shape = np.shape(self.joints)
+            if len(shape) != 2 or shape[0] != len(poses) or shape[1] < _FEWEST_JOINTS:
+                raise BadInputError(f"joints must have shape ({len(poses)}, {_FEWEST_JOINTS} or more), found {shape}")
+            if not np.isfinite(self.joints).all():
+                raise BadInputError("joints must be finite, found NaN or infinity")
             object.__setattr__(self, "joints", _frozen(self.joints))
 
     def __len__(self) -> int:

@@ -10,6 +10,7 @@ from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
 from koopdqn.demonstrations.recordings.load import Loaded, load
 from koopdqn.errors import BadInputError
 from koopdqn.robot.arm import Arm
+from koopdqn.settings import shown, typed
 
 Sources = str | Path | Sequence[str | Path]
 """Files: a path or a glob, or several."""
@@ -24,6 +25,8 @@ def files_of(sources: Sources) -> list[Path]:
     found: list[Path] = []
     if isinstance(sources, str | Path):
         sources = (sources,)
+    if not isinstance(sources, Sequence) or not all(isinstance(each, str | Path) for each in sources):
+        raise BadInputError(f"demos: must be a path or a glob, or several, found {shown(sources)}")
     if not sources:
         raise BadInputError("demos: must name a file at least, found none")
     for source in sources:
@@ -66,6 +69,7 @@ def read_files(sources: Sources, declared: ImportSettings, arm: Arm | None) -> l
     return read
 
 
+@typed
 def read_demonstrations(
     sources: Sources,
     task: str,

@@ -15,10 +15,10 @@ from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.network import observe
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.actions import FIRST_TWIST, checked_indices
 from koopdqn.tasks.moved_goals import draw_starts, trained_in
 from koopdqn.tasks.rollout import SUCCESS, roll_out
-from koopdqn.tasks.twists import twist_size
+from koopdqn.tasks.twists import checked_twists, twist_size
 from koopdqn.tasks.workcell import Workcell
 
 NO_REWARD: Final = len(SOURCES)
@@ -72,12 +72,18 @@ class EnvironmentParts:
 
         Raises:
             BadInputError: hardly any start of the region can be taken.
+            ValueError: what was chosen are no such actions.
         """
         task, frame = self.workcell.task, self.reward.model.start_frame
+
+        def chosen(poses: Array, starts: Array) -> np.ndarray:
+            actions = choose(observe(frame.to_frame(poses, starts), task))
+            count = len(poses)
+            return checked_twists(actions, count, task) if self.twist else checked_indices(actions, count)
+
         drawn = draw_starts(self.workcell, task, np.random.default_rng(seed), episodes)
         made = roll_out(
-            lambda poses, starts: np.asarray(choose(observe(frame.to_frame(poses, starts), task))),
-            *(task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit),
+            *(chosen, task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit),
             moved=drawn.moved,
         )
         return float(np.mean([episode.outcome == SUCCESS for episode in made]))
@@ -159,10 +165,10 @@ class Batch:
         env, count = self._env, len(self._tries)
         twists = None
         if env.feedback.reward.continuous:
-            twists = _twists(actions, (count, twist_size(self._task)))
+            twists = checked_twists(actions, count, self._task)[:, None]
             actions = np.full(count, FIRST_TWIST)
         else:
-            actions = _indices(actions, count)
+            actions = checked_indices(actions, count)
         terminated, truncated, undone = np.zeros((3, count), dtype=bool)
         steps = Steps(np.zeros(count), terminated, truncated, undone, np.full(count, NO_REWARD))
         rows = np.arange(count) if active is None else np.flatnonzero(active)
@@ -187,27 +193,3 @@ class Batch:
         steps.undone[rows] = env.episodes.steps[rows] == before[rows]
         steps.truncated[rows] |= ~steps.terminated[rows] & (self._tries[rows] >= env.episodes.limits[rows])
         return steps
-
-
-def _indices(actions: np.ndarray, count: int) -> np.ndarray:
-    """Return indices in Table 1 (count,), or raise ValueError if actions are none."""
-    if actions.shape != (count,):
-        raise ValueError(f"actions must have shape ({count},), found {actions.shape}")
-    with np.errstate(invalid="ignore"):
-        whole = actions.astype(np.int64) if actions.dtype.kind in "iuf" else None
-    if whole is None or (whole != actions).any():
-        raise ValueError(f"action must be a whole number, found {actions.tolist()}")
-    strange = (whole < 0) | (whole >= COUNT)
-    if strange.any():
-        raise ValueError(f"action must be from 0 to {COUNT - 1}, found {whole[strange][0]}")
-    return whole
-
-
-def _twists(actions: np.ndarray, shape: tuple[int, int]) -> Array:
-    """Return twists (N, 1, 3 or 6), or raise ValueError if actions are none of that ``shape``."""
-    if actions.shape != shape:
-        raise ValueError(f"actions must have shape {shape}, found {actions.shape}")
-    twists = actions.astype(np.float64)
-    if not np.isfinite(twists).all():
-        raise ValueError("action must be finite, found NaN or infinity")
-    return twists[:, None]

@@ -3,13 +3,14 @@
 import os
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
-from koopdqn.errors import BadInputError, unknown_name
+from koopdqn.errors import BadInputError, WorkFailedError, unknown_name
 from koopdqn.pose import Array
 from koopdqn.robot.render import Camera, Image
 from koopdqn.robot.view import View, choose_view
@@ -47,7 +48,12 @@ class Window:
     """MuJoCo's viewer, in which the arm follows an episode at the pace of a real one."""
 
     def __init__(self, workcell: Workcell) -> None:
-        """Open the window."""
+        """Open the window.
+
+        Raises:
+            WorkFailedError: the display opens none.
+        """
+        try_window()
         from mujoco import viewer
 
         self._scene, self._seconds = workcell.scene, workcell.reachability.step_seconds
@@ -78,6 +84,23 @@ def render_modes() -> list[str]:
 def has_display() -> bool:
     """Return whether a window can be opened."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def try_window() -> None:
+    """Raise WorkFailedError unless a window with OpenGL opens; the viewer would wait for its own for ever."""
+    import glfw
+
+    with warnings.catch_warnings():
+        # GLFW's reasons come as warnings.
+        warnings.simplefilter("ignore")
+        opened = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            opened = glfw.create_window(16, 16, "koopdqn", None, None)
+            glfw.default_window_hints()
+    if not opened:
+        raise WorkFailedError("the window cannot be opened: this display opens none with OpenGL; see `koopdqn doctor`")
+    glfw.destroy_window(opened)
 
 
 def check_render_mode(mode: str | None, valid: Sequence[str]) -> None:

@@ -39,7 +39,9 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         """The scene as ``dm_control.viewer`` shows it; the arm in it follows the episode, and nothing else moves."""
         from dm_control.mujoco import Physics, wrapper
 
-        return Physics.from_model(wrapper.MjModel(self._parts.workcell.scene.model))
+        physics = Physics.from_model(wrapper.MjModel(self._parts.workcell.scene.model))
+        self._place(physics)
+        return physics
 
     def reset(self) -> dm_env.TimeStep:
         """Begin an episode somewhere in the start region."""
@@ -89,5 +91,8 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
             return
         data = self.physics.data
         data.time = 0.0 if elapsed is None else data.time + elapsed
-        data.qpos[self._parts.workcell.scene.joint_index] = self._batch.joints[0]
-        self.physics.forward()
+        self._place(self.physics)
+
+    def _place(self, physics: Any) -> None:
+        physics.data.qpos[self._parts.workcell.scene.joint_index] = self._batch.joints[0]
+        physics.forward()

@@ -13,6 +13,7 @@ from koopdqn.envs.batch import SOURCE_NAMES, Batch, EnvironmentParts, Steps
 from koopdqn.envs.display import Pictures, Window, check_render_mode, render_modes
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.robot.render import Image
+from koopdqn.settings import shown
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.workcell import Workcell
 
@@ -92,9 +93,9 @@ class KoopmanEnv(gymnasium.Env[Observations, Any]):
 
     def close(self) -> None:
         """Close the window, free what OpenGL holds, and close the oracle."""
-        for shown in (self._pictures, self._window):
-            if shown is not None:
-                shown.close()
+        for each in (self._pictures, self._window):
+            if each is not None:
+                each.close()
         self._pictures = self._window = None
         self._parts.oracle.close()
 
@@ -134,8 +135,8 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
         names = [mode.value for mode in self.modes]
         if autoreset_mode not in (*self.modes, *names):
             raise unknown_name("autoreset_mode", getattr(autoreset_mode, "value", autoreset_mode), names)
-        if num_envs < 1:
-            raise BadInputError(f"num_envs: must be at least 1, found {num_envs}")
+        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise BadInputError(f"num_envs: must be a whole number, 1 or above, found {shown(num_envs)}")
         check_render_mode(render_mode, ["rgb_array"])
         self.num_envs = num_envs
         self.render_mode = render_mode

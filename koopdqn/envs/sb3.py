@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from koopdqn.errors import BadInputError
+from koopdqn.settings import shown
 
 
 class StableBaselinesVecEnv(VecEnv):
@@ -24,8 +25,11 @@ class StableBaselinesVecEnv(VecEnv):
         """Wrap an environment.
 
         Raises:
-            BadInputError: an episode that has ended does not begin anew with the same step, as this library needs.
+            BadInputError: it is no vector environment, or an episode that has ended does not begin anew with the same
+                step, as this library needs.
         """
+        if not isinstance(env, VectorEnv):
+            raise BadInputError(f"env: must be a vector environment, as of gymnasium.make_vec, found {shown(env)}")
         mode = env.metadata["autoreset_mode"]
         if mode is not AutoresetMode.SAME_STEP:
             raise BadInputError(f"autoreset_mode: must be SameStep for Stable-Baselines3, found {mode.value}")

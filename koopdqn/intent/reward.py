@@ -150,7 +150,19 @@ class IntentReward:
             steps: how many steps each has made.
             starts: (N, 7) where they began; None if poses are in the start frame already.
             twists: (N, S, 3 or 6) to evaluate behind the named actions, where actions are continuous; None for none.
+
+        Raises:
+            BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.
         """
+        pose.check(poses, "poses")
+        if starts is not None:
+            pose.check(starts, "starts")
+        return self.evaluated(poses, steps, starts, twists)
+
+    def evaluated(
+        self, poses: Array, steps: np.ndarray, starts: Array | None = None, twists: Array | None = None
+    ) -> ActionEvaluation:
+        """Return what :meth:`evaluate_actions` does, of poses that need no check: training asks at every step."""
         local = poses if starts is None else self.model.start_frame.to_frame(poses, starts)
         here = self.trust.assess(local, steps)
         predicted = self._predicted(local, here.demonstrated)

@@ -1,6 +1,7 @@
 """What a robot program is to be like: where it starts, how it is smoothed, what limits it keeps, how it is written."""
 
-from typing import Annotated, Any, Final, Literal
+import math
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import BeforeValidator, Field
 
@@ -13,14 +14,22 @@ GAIN: Final = 300
 _FEWEST: Final = 6
 
 
-def _to_start(value: object) -> Any:
+def _to_start(value: Any) -> Any:
     if value == NOMINAL:
         return value
-    if isinstance(value, list | tuple) and len(value) >= _FEWEST:
+    if _are_numbers(value) and len(value) >= _FEWEST:
         return tuple(value)
-    if isinstance(value, dict) and value.keys() == {"joints"} and isinstance(value["joints"], list | tuple):
+    if isinstance(value, dict) and value.keys() == {"joints"} and _are_numbers(value["joints"]):
         return {"joints": tuple(value["joints"])}
-    raise ValueError(f"must be {NOMINAL}, 6 joint angles [rad] or a pose of 7 numbers (x y z [m], qw qx qy qz)")
+    raise ValueError(
+        f"must be {NOMINAL}, 6 joint angles [rad], a pose of 7 numbers (x y z [m], qw qx qy qz) or {{joints: […]}}"
+    )
+
+
+def _are_numbers(value: object) -> Any:
+    return isinstance(value, list | tuple) and all(
+        isinstance(each, int | float) and not isinstance(each, bool) and math.isfinite(each) for each in value
+    )
 
 
 Start = Annotated[
@@ -33,7 +42,7 @@ Format = Literal["urscript", "ros_yaml", "ros_json", "rtde", "robomimic", "mcap"
 
 def _to_formats(value: object) -> object:
     if not isinstance(value, list | tuple) or not value:
-        raise ValueError("must be a list of formats")
+        raise ValueError(f"must be a list of one or more of {', '.join(get_args(Format))}")
     return tuple(value)
 
 

@@ -109,7 +109,7 @@ class Feedback:
         self, poses: Array, steps: np.ndarray, starts: Array | None = None, twists: Array | None = None
     ) -> ActionEvaluation:
         """Return the evaluation of :meth:`IntentReward.evaluate_actions`, with remembered answers."""
-        evaluation = self.reward.evaluate_actions(poses, steps, starts, twists)
+        evaluation = self.reward.evaluated(poses, steps, starts, twists)
         # What answers say matters only where something is not known anyway.
         rows = np.flatnonzero(~evaluation.known.all(axis=1))
         places = self.answers.recall(evaluation.local[rows], evaluation.margin[rows])
@@ -236,7 +236,7 @@ class Feedback:
         for begin in range(0, len(rows), _TOGETHER):
             part = rows[begin : begin + _TOGETHER]
             twists = None if held.twists is None else held.twists[part, None].astype(np.float64)
-            evaluation = self.reward.evaluate_actions(held.poses[part], held.steps[part], held.starts[part], twists)
+            evaluation = self.reward.evaluated(held.poses[part], held.steps[part], held.starts[part], twists)
             # What the model suggests may have changed since.
             each = np.arange(len(part)), held.actions[part] if twists is None else np.full(len(part), FIRST_TWIST)
             rewards = evaluation.reward[each].astype(np.float32)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from koopdqn import pose
 from koopdqn.artifact import Artifact, check_task, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.intent.bend import CORRECTED, Bend
@@ -13,7 +14,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
 from koopdqn.rl.settings import NetworkSettings
-from koopdqn.settings import validate
+from koopdqn.settings import typed, validate
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
@@ -47,7 +48,12 @@ class Policy:
         """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7).
 
         They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6).
+
+        Raises:
+            BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.
         """
+        pose.check(poses, "poses")
+        pose.check(starts, "starts")
         values = self.values(poses, starts)
         return in_balls(values.astype(np.float64)) if self.continuous else np.asarray(values.argmax(axis=1))
 
@@ -93,6 +99,7 @@ def write_corrected(path: Path, source: Path, bend: Bend) -> None:
     write_artifact(path, Artifact(KIND, arrays, held.about))
 
 
+@typed
 def read_policy(path: str | Path, task: Task, *, anywhere: bool = False) -> tuple[Policy, dict[str, Any]]:
     """Read a policy for a task, and its metadata.
 

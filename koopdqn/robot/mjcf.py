@@ -31,7 +31,8 @@ class MjcfArm(Settings):
 
     Raises:
         ValueError: on construction, the file cannot be compiled, is another than the one that ``sha256`` tells, has no
-            such site, moves it by anything but six or more hinges, or does not say what must be known.
+            such site, moves it by anything but six or more hinges with position actuators, or does not say what must
+            be known.
     """
 
     # Where it lies is of this machine: artifacts hold the file's SHA-256 instead.

@@ -25,7 +25,7 @@ class Model(NamedTuple):
         chain: their axes, the site as the flange, and their ranges.
         torques: (n,) largest [Nm] that their motors give; 0 where the file does not limit them.
         home: (n,) of the first keyframe, or the middle of every range [rad].
-        sha256: of the file.
+        sha256: of the file, or of it and of all that it includes and names.
     """
 
     name: str
@@ -41,16 +41,36 @@ def read_model(path: Path, site: str) -> Model:
 
     Raises:
         ValueError: MuJoCo cannot compile the file, it has no such site, or the site is moved by anything but hinges
-            with names, six or more.
+            with names, six or more, each by a position actuator.
     """
     if not path.is_file():
         raise ValueError(f"path: must name an MJCF file, found {'a folder' if path.is_dir() else 'nothing'} at {path}")
-    return _read(path.resolve(), site, path.stat().st_mtime_ns)
+    files = _files(path.resolve())
+    return _read(files, site, tuple(each.stat().st_mtime_ns for each in files))
+
+
+def _files(path: Path) -> tuple[Path, ...]:
+    """Return an MJCF file, and after it what it includes and the meshes and pictures that it names."""
+    import mujoco
+
+    try:
+        found = mujoco.mju_getXMLDependencies(str(path))
+    except mujoco.FatalError:
+        found = []
+    # What is wrong, or missing, compiling says better.
+    return path, *sorted({Path(each).resolve() for each in found if Path(each).is_file()} - {path})
+
+
+def _digest(files: tuple[Path, ...]) -> str:
+    each = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
+    return each[0] if len(each) == 1 else hashlib.sha256("\n".join(each).encode()).hexdigest()
 
 
 @lru_cache(maxsize=8)
-def _read(path: Path, site: str, changed_ns: int) -> Model:
+def _read(files: tuple[Path, ...], site: str, changed_ns: tuple[int, ...]) -> Model:
     import mujoco
+
+    path = files[0]
 
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
@@ -61,10 +81,13 @@ def _read(path: Path, site: str, changed_ns: int) -> Model:
         raise ValueError(str(unknown_name(f"site of {path.name}", site, names)))
     where = names.index(site)
     joints = _joints(model, int(model.site_bodyid[where]))
-    odd = [model.joint(joint).name for joint in joints if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_HINGE]
-    if odd or len(joints) < _FEWEST or not all(model.joint(joint).name for joint in joints):
-        found = f"{odd[0]}, which is none" if odd else f"{len(joints)}"
+    kinds = [mujoco.mjtJoint(int(model.jnt_type[joint])).name.removeprefix("mjJNT_").lower() for joint in joints]
+    odd = [f"a {kind} joint {model.joint(j).name}" for j, kind in zip(joints, kinds, strict=True) if kind != "hinge"]
+    nameless = sum(not model.joint(joint).name for joint in joints)
+    if odd or nameless or len(joints) < _FEWEST:
+        found = odd[0].strip() if odd else f"{len(joints)}" + (f", {nameless} without a name" if nameless else "")
         raise ValueError(f"site: {site} must be moved by {_FEWEST} or more hinges that have names, found {found}")
+    _check_actuators(model, joints)
     address = model.jnt_qposadr[joints]
     data = mujoco.MjData(model)
     data.qpos[address] = 0.0
@@ -78,8 +101,8 @@ def _read(path: Path, site: str, changed_ns: int) -> Model:
         tuple(model.joint(joint).name for joint in joints),
         Chain(data.xanchor[joints].copy(), data.xaxis[joints].copy(), tip, lower, upper),
         tuple(_torque(model, joint) for joint in joints),
-        tuple(np.clip(home, lower, upper).tolist()),
-        hashlib.sha256(path.read_bytes()).hexdigest(),
+        tuple(home.tolist()),
+        _digest(files),
     )
 
 
@@ -96,6 +119,23 @@ def _joints(model: Any, body: int) -> list[int]:
         joints = [*range(first, first + count), *joints]
         body = int(model.body_parentid[body])
     return joints
+
+
+def _check_actuators(model: Any, joints: list[int]) -> None:
+    import mujoco
+
+    on_joint = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    driven = np.where(on_joint, model.actuator_trnid[:, 0], -1).tolist()
+    for joint in joints:
+        name = model.joint(joint).name
+        if joint not in driven:
+            raise ValueError(f"path: must be a file with an actuator for every joint, found none for {name}")
+        pull = float(model.actuator_biasprm[driven.index(joint), 1])
+        if pull >= 0:
+            raise ValueError(
+                f"path: the actuator of {name} must be a position actuator (biasprm[1] = -kp < 0), found biasprm[1] ="
+                f" {pull:g}"
+            )
 
 
 def _torque(model: Any, joint: int) -> float:

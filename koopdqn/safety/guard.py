@@ -14,8 +14,10 @@ from koopdqn.pose import Array
 from koopdqn.safety.schema import GuardReport
 from koopdqn.safety.separation import PersonNear
 from koopdqn.settings import NonNegative, Positive, Settings
+from koopdqn.tasks.actions import checked_indices
 from koopdqn.tasks.rollout import RULE_BROKEN, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.twists import checked_twists
 from koopdqn.tasks.workcell import COLLISION, REASONS, Motion, Workcell
 
 SPEED: Final = "speed"
@@ -160,13 +162,21 @@ class Guard:
         """Return the episodes of a policy, each stopped before its first refused step, which its outcome names.
 
         Args:
-            policy: chooses the actions (N,) from poses (N, 7) and starts (N, 7).
+            policy: chooses the actions (N,), or twists (N, 3 or 6), from poses (N, 7) and starts (N, 7).
             starts: poses (N, 7) to begin at.
             joints: joint angles (N, 6) [rad] there.
             limit: most steps of an episode.
+
+        Raises:
+            ValueError: what the policy chooses are neither indices in Table 1 (N,) nor finite twists (N, 3 or 6).
         """
         cell = self.workcell
-        return roll_out(policy, cell.task, cell.reachability, starts, joints, limit, moves=self._noted)
+
+        def checked(poses: Array, starts: Array) -> np.ndarray:
+            actions, count = np.asarray(policy(poses, starts)), len(poses)
+            return checked_twists(actions, count, cell.task) if actions.ndim > 1 else checked_indices(actions, count)
+
+        return roll_out(checked, cell.task, cell.reachability, starts, joints, limit, moves=self._noted)
 
     def _noted(self, reached: Array, before: Array, joints: Array, starts: Array, steps: np.ndarray) -> list[Motion]:
         motions = self.moves(reached, before, joints, starts)

@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from koopdqn import pose
 from koopdqn.pose import Array
@@ -85,3 +86,22 @@ def nearest_actions(poses: Array, wished: Array, task: Task) -> np.ndarray:
     """Return the legal actions (N,) whose reached poses are nearest to wished poses (N, 7), by :func:`excess`."""
     far = excess(reached_poses(poses, task), wished[:, None], task)
     return np.asarray(np.where(legal_actions(task), far, np.inf).argmin(axis=1))
+
+
+def checked_indices(actions: ArrayLike, count: int) -> np.ndarray:
+    """Return indices in Table 1 (count,) that come from outside.
+
+    Raises:
+        ValueError: they are of another shape, no whole numbers, or one is none of the ten.
+    """
+    given = np.asarray(actions)
+    if given.shape != (count,):
+        raise ValueError(f"actions must have shape ({count},), found {given.shape}")
+    with np.errstate(invalid="ignore"):
+        whole = given.astype(np.int64) if given.dtype.kind in "iuf" else None
+    if whole is None or (whole != given).any():
+        raise ValueError(f"action must be a whole number, found {given.tolist()}")
+    strange = (whole < 0) | (whole >= COUNT)
+    if strange.any():
+        raise ValueError(f"action must be from 0 to {COUNT - 1}, found {whole[strange][0]}")
+    return whole

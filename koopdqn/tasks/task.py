@@ -255,7 +255,7 @@ class Task(TaskChoice):
         if self.goal_half_range_m is None:
             raise BadInputError(
                 f"goal: needs a run of a task with goal_half_range_m, found task {self.name} without"
-                " (only task=demonstrated has one)"
+                " (task=demonstrated may have one, and a task of your own whose goal_moves is True)"
             )
         if (np.abs(moved) > np.array(self.goal_half_range_m) + 1e-9).any():
             raise BadInputError(

@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from koopdqn import pose
 from koopdqn.pose import Array
@@ -66,3 +67,18 @@ def reached_by(poses: Array, actions: np.ndarray, task: Task) -> Array:
     if actions.ndim > 1:
         return moved_by(poses, actions, task)
     return np.asarray(reached_poses(poses, task)[np.arange(len(poses)), actions])
+
+
+def checked_twists(actions: ArrayLike, count: int, task: Task) -> Array:
+    """Return twists (count, 3) or (count, 6) that come from outside.
+
+    Raises:
+        ValueError: they are of another shape, or not finite.
+    """
+    given, shape = np.asarray(actions), (count, twist_size(task))
+    if given.shape != shape:
+        raise ValueError(f"actions must have shape {shape}, found {given.shape}")
+    twists = given.astype(np.float64)
+    if not np.isfinite(twists).all():
+        raise ValueError("action must be finite, found NaN or infinity")
+    return twists

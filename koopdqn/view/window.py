@@ -2,7 +2,6 @@
 
 import threading
 import time
-import warnings
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -12,8 +11,8 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from koopdqn.envs.display import has_display
-from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.envs.display import has_display, try_window
+from koopdqn.errors import BadInputError
 from koopdqn.intent.box import Box
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
@@ -125,7 +124,7 @@ def watch(shown: Shown) -> None:
     data = mujoco.MjData(scene.model)
     data.qpos[scene.joint_index] = scene.arm.home
     mujoco.mj_forward(scene.model, data)
-    _try_window()
+    try_window()
     others = set(threading.enumerate())
     # Keys come from the window's own thread.
     opened = viewer.launch_passive(
@@ -160,23 +159,6 @@ def watch(shown: Shown) -> None:
             window.set_texts((None, mujoco.mjtGridPos.mjGRID_TOPLEFT, f"{name}\n{place}", ""))
             window.sync()
             time.sleep(_FRAME_SECONDS)
-
-
-def _try_window() -> None:
-    """Raise WorkFailedError unless a window with OpenGL opens; the viewer would wait for its own for ever."""
-    import glfw
-
-    with warnings.catch_warnings():
-        # GLFW's reasons come as warnings.
-        warnings.simplefilter("ignore")
-        opened = None
-        if glfw.init():
-            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
-            opened = glfw.create_window(16, 16, "koopdqn", None, None)
-            glfw.default_window_hints()
-    if not opened:
-        raise WorkFailedError("the window cannot be opened: this display opens none with OpenGL; see `koopdqn doctor`")
-    glfw.destroy_window(opened)
 
 
 @contextmanager

@@ -1,10 +1,13 @@
 """Composing the config tree once more, and saying in one line what Hydra or OmegaConf refuse."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Final
 
 from koopdqn.app.hydra.folder import ensure_resolver
+from koopdqn.app.hydra.record import GROUPS
 from koopdqn.errors import BadInputError, KoopdqnError, WorkFailedError, unknown_name
 from koopdqn.files import OUT_OF_ROOM
 from koopdqn.resources import conf_dir
@@ -18,7 +21,7 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     """Return the config tree under overrides, in Hydra's grammar.
 
     Within a command it is composed from where the command's own config came from, so that a user's own config
-    folder takes part.
+    folder takes part. Another program's own use of Hydra is left as it was.
 
     Args:
         overrides: as on the command line.
@@ -27,24 +30,55 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     Raises:
         Exception: whatever Hydra raises for an override that it refuses.
     """
-    from hydra import compose, initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
+    from hydra import compose
     from omegaconf import OmegaConf
 
-    ensure_resolver()
-    if GlobalHydra.instance().is_initialized():
+    with _LOCK, _initialized():
+        ensure_resolver()
         config = compose("config", overrides=list(overrides))
-    else:
-        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-            config = compose("config", overrides=list(overrides))
     OmegaConf.set_struct(config, False)
     for key, value in (replaced or {}).items():
         config[key] = value
     return config
 
 
+# What Hydra knows is one for all threads.
+_LOCK: Final = RLock()
+
+
+@contextmanager
+def _initialized() -> Iterator[None]:
+    """Let Hydra compose from the config tree, and put back what another program had it compose from."""
+    from hydra import initialize_config_dir
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.version import VersionBase
+
+    here, base = GlobalHydra.instance(), VersionBase.instance()
+    if here.is_initialized() and set(GROUPS) <= set(here.config_loader().list_groups("")):
+        yield
+        return
+    before = here.hydra, base.version_base
+    here.clear()
+    try:
+        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
+            yield
+    finally:
+        here.hydra, base.version_base = before
+        GlobalHydra.set_instance(here)
+
+
 _NOISE = ("See https://", "object_type=", "reference_type=", "full_key:")
 _TORCH_ALLOCATOR = "can't allocate memory"
+
+
+_EXTRAS: Final = {
+    "joblib": "joblib",
+    "submitit_slurm": "slurm",
+    "submitit_local": "slurm",
+    "ray": "ray",
+    "optuna": "optuna",
+}
+"""The extra that brings each launcher and sweeper."""
 
 
 def explain(error: BaseException) -> KoopdqnError | None:
@@ -109,6 +143,9 @@ def _missing_config(error: BaseException) -> BadInputError:
     options = getattr(error, "options", None)
     if name and options is not None:
         group, _, option = str(name).rpartition("/")
+        if group.startswith("hydra/") and option in _EXTRAS:
+            extra = f"koopdqn[{_EXTRAS[option]}]"
+            return BadInputError(f"{group}={option} needs an extra, found it not installed: pip install '{extra}'")
         kind = f"option of {group}" if group else "config"
         return unknown_name(kind, option, options) if options else BadInputError(f"no config group {group!r} ({name})")
     return BadInputError(_in_one_line(str(error)))

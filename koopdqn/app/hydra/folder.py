@@ -5,7 +5,7 @@ import itertools
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from koopdqn.errors import BadInputError
 from koopdqn.run_folder import check_plain, hold, release
@@ -17,6 +17,8 @@ PER_TASK = "per_task"
 FREE_RESOLVER = "free_folder"
 """Name of the OmegaConf resolver ``${free_folder:…}`` that conf/ puts around the run folder's default name."""
 
+# Hydra writes it before it looks whether the first job's config can be composed, and writes it anew.
+_OF_A_SWEEP: Final = "multirun.yaml"
 
 _held: list[Path] = []
 
@@ -52,7 +54,7 @@ def ensure_resolver() -> None:
 
 
 def require_new(folder: Path, ignore: str = "") -> None:
-    """Raise unless a run folder is absent, empty or holds hidden files only.
+    """Raise unless a run folder is absent, empty, or holds hidden files or what a refused sweep leaves, and no more.
 
     Args:
         folder: the run folder.
@@ -64,7 +66,7 @@ def require_new(folder: Path, ignore: str = "") -> None:
     if not folder.is_dir():
         return
     names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(".") and entry.name != ignore)
-    if names:
+    if names and names != [_OF_A_SWEEP]:
         listed = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
         raise BadInputError(f"out: must name a new or an empty folder, found {str(folder)!r}, which holds {listed}")
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from koopdqn.app.hydra.record import PATH_NAMES, Recorded, check_record, read_record
+from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record
 from koopdqn.errors import BadInputError
 from koopdqn.settings import shown
 
@@ -44,6 +44,8 @@ _OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": 
 """A command's own keys that need no prefix."""
 _CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
 """Commands that go on with ``run=DIR``, and what DIR is of."""
+_OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
+"""Keys without effect from Python."""
 _TAKES_FILES: Final = ("import", "inspect")
 """Commands whose files may stand alone."""
 _MOST_COMPARED: Final = 6
@@ -247,9 +249,15 @@ def as_hydra_takes_it(override: str) -> str:
     """Return an override of ``koopdqn train`` as Hydra takes it, its short name written out.
 
     Raises:
-        BadInputError: it is no override, or names a file that cannot be read.
+        BadInputError: it is no override, names a file that cannot be read, or is of a key that nothing but the command
+            line reads.
     """
-    return _prepare_one("train", override)
+    prepared = _prepare_one("train", override)
+    key = _key(prepared)
+    if key in _OF_THE_COMMAND_LINE or key.startswith(("hydra.", "hydra/")):
+        named = key.removesuffix("_file")
+        raise BadInputError(f"{named}: must be left out, as nothing but the command line reads it, found {override}")
+    return prepared
 
 
 def _prepare_one(command: str, override: str) -> str:
@@ -258,6 +266,8 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
+    if name in GROUPS and (value == "null" or _NUMBER_OR_BOOLEAN.fullmatch(value)):
+        raise BadInputError(f"{name}: must name an option, found {value}")
     if name == "obstacles":
         return _obstacles(value)
     if name == "goal" and command != "eval":
