@@ -55,7 +55,8 @@ def lettered(image: Image, marks: Mapping[str, tuple[float, float]], caption: st
         if 0 <= x < 1 and 0 <= y < 1:
             # Beside the dot, which it would hide.
             pen.text((x * width + 0.5 * size, y * height), mark, _LETTER_COLOURS.get(mark, _WHITE), anchor="lm", **edge)
-    pen.text((0.5 * size, height - 0.5 * size), caption, _WHITE, anchor="lb", **edge)
+    small = {**edge, "font": ImageFont.load_default(0.6 * size)}
+    pen.text((0.5 * size, height - 0.5 * size), caption, _WHITE, anchor="lb", **small)
     return np.asarray(drawn)
 
 
