@@ -54,6 +54,24 @@ def test_start_goal_step_and_rule_are_those_shown() -> None:
     assert task.rule_broken(turned_by(arc(), 0.5))[:10].all()
 
 
+def test_what_a_held_out_demonstration_does_otherwise_is_a_remark() -> None:
+    elsewhere, turned = arc(0.04), arc(0.04)
+    elsewhere[:, 1] += 0.3
+    turned[:, 3:] = pose.multiply(HORIZONTAL, pose.from_rotation_vector([0.0, 0.0, 0.5 * np.pi]))
+    found = {}
+    for last in (arc(0.04), elsewhere, turned, arc(0.04)[:100]):
+        derived = RECIPE.derive(shown(recorded(arc()), recorded(arc(0.02)), recorded(last)))
+        found[len(found)] = [note for note in derived.notes if "demonstration 2" in note]
+        np.testing.assert_allclose(np.abs(derived.held_out[0].poses[:, 3:] @ last[0, 3:]), 1.0)
+    assert found[0] == []
+    for index, words in enumerate(("300 mm from the goal", "turned 90°", "mm from the goal"), 1):
+        assert words in found[index][0]
+    free = RECIPE.model_copy(update={"turning": "free"})
+    derived = free.derive(shown(recorded(arc()), recorded(arc(0.02)), recorded(turned)))
+    assert not any("demonstration 2" in note for note in derived.notes)
+    np.testing.assert_allclose(derived.held_out[0].poses[:, 3:], derived.training.items[0].poses[:, 3:], atol=1e-9)
+
+
 def test_one_demonstration_is_enough_and_said_to_be_one() -> None:
     derived = RECIPE.derive(shown(recorded(arc())))
     assert derived.held_out == ()

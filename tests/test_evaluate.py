@@ -9,8 +9,10 @@ import pytest
 from helpers_shelf import reward_of, shelf, taught
 from pydantic import BaseModel, ValidationError
 from rich.console import Console
+from rich.table import Table
 
-from koopdqn.app.commands.eval import table
+from koopdqn import pose
+from koopdqn.app.commands.eval import _holdout_table, table
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation import schema
 from koopdqn.evaluation.baselines import Greedy
@@ -129,6 +131,21 @@ def test_dynamics_runs_the_first_successful_paths_only() -> None:
     assert evaluation.report["dynamics"]["contacts"]["episodes"] == 0
 
 
+def test_a_path_that_never_began_has_no_distance_and_a_held_out_turn_is_measured_as_recorded() -> None:
+    known = taught()
+    far, turned = known.trajectories[0].copy(), known.trajectories[0].copy()
+    far[:, 0] += 5.0
+    turned[:, 3:] = pose.multiply(turned[:, 3:], pose.from_rotation_vector([0.0, 0.0, 0.5 * np.pi]))
+    policy = Greedy(known.model, shelf().task)
+    report = evaluate(shelf(), policy, reward_of(known), known.trajectories, SHORT, 700, held_out=[far, turned]).report
+    never, begun = report["holdout"]["hausdorff_mm"]["policy"]
+    assert never is None
+    assert begun is not None
+    assert report["holdout"]["policy"]["rotation_deviation_deg"]["mean"] == pytest.approx(90, abs=3)
+    alone = {**report["holdout"], "hausdorff_mm": {"policy": [None]}}
+    assert "–" in printed_rows(_holdout_table({**report, "holdout": alone}))
+
+
 def models() -> list[type[BaseModel]]:
     found = [value for value in vars(schema).values() if isinstance(value, type)]
     return [value for value in found if issubclass(value, ReportModel) and value is not ReportModel]
@@ -156,9 +173,13 @@ def test_the_schema_refuses_what_cannot_be(key: str, value: object) -> None:
 
 
 def printed(report: dict[str, Any], width: int) -> str:
+    return printed_rows(table(report), width)
+
+
+def printed_rows(rows: Table, width: int = 100) -> str:
     console = Console(width=width, color_system=None)
     with console.capture() as capture:
-        console.print(table(report))
+        console.print(rows)
     return capture.get()
 
 

@@ -43,7 +43,8 @@ class Derived:
     Attributes:
         task: the task.
         training: without idle ends and sensor noise, each bent to end at the goal.
-        held_out: kept for evaluation, without idle ends and sensor noise, with their own ends.
+        held_out: kept for evaluation, without idle ends and sensor noise, with their own ends and orientation; with the
+            goal's orientation where that is free.
         notes: lines for people about the result.
     """
 
@@ -122,9 +123,12 @@ class Derivation(TaskChoice):
             _about_motion(task, largest_turn_from(shown, goal)),
             *_ABOUT_ONE[: len(learned) == 1],
             *_about_odd(learned),
+            *self._about_held_out(aside, learned, goal, turning),
         )
         training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
-        return Derived(task, training, tuple(_oriented(item, goal, turning) for item in aside), notes)
+        if turning == "free":
+            aside = [_oriented(item, goal, turning) for item in aside]
+        return Derived(task, training, tuple(aside), notes)
 
     def kept_of(self, count: int) -> int:
         """Return how many of ``count`` demonstrations are held out.
@@ -138,6 +142,23 @@ class Derivation(TaskChoice):
                 f"task.holdout must leave a demonstration to learn from, found {kept} of {count} held out"
             )
         return kept
+
+    def _about_held_out(
+        self, aside: Sequence[Demonstration], learned: Sequence[Demonstration], goal: Array, turning: RotationType
+    ) -> Iterator[str]:
+        """Yield what would be an error in a demonstration learned from; of one kept for evaluation it is a remark."""
+        most = self.end_spread * preprocess.way_of(learned)
+        for index, item in enumerate(aside, len(learned)):
+            apart = float(pose.position_distance(item.poses[-1], goal))
+            turned = float(pose.rotation_distance(item.poses[-1], goal))
+            found = [f"{apart * 1e3:.0f} mm from the goal"] if apart > most else []
+            if turning != "free" and turned > self.end_spread_rad:
+                found.append(f"turned {np.degrees(turned):.0f}° from the goal's orientation")
+            if found:
+                yield (
+                    f"demonstration {index}, kept for evaluation, ends {' and '.join(found)}, unlike those learned"
+                    " from: what is measured against it says little"
+                )
 
     def _task(self, training: Demonstrations, goal: Array, turning: RotationType, kept: int) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])

@@ -31,13 +31,18 @@ def goal_of(items: Sequence[Demonstration]) -> Array:
     return pose.make(ends[:, pose.POSITION].mean(axis=0), mean * (1.0 if mean @ quaternions[0] >= 0 else -1.0))
 
 
+def way_of(items: Sequence[Demonstration]) -> float:
+    """Return the median distance [m] from start to end."""
+    return float(np.median([pose.position_distance(item.poses[0], item.poses[-1]) for item in items]))
+
+
 def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> float:
     """Return the largest distance [m] of an end from the goal (7,).
 
     Raises:
         BadInputError: it is more than ``most`` times the median distance from start to end.
     """
-    way = float(np.median([pose.position_distance(item.poses[0], item.poses[-1]) for item in items]))
+    way = way_of(items)
     apart = [float(pose.position_distance(item.poses[-1], goal)) for item in items]
     worst = int(np.argmax(apart))
     if apart[worst] > most * way:

@@ -163,8 +163,8 @@ def _holdout_table(report: dict[str, Any]) -> "Table":
     holdout, rows = report["holdout"], {}
     for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
         success, *rest = _cells(method)
-        apart = np.array(holdout["hausdorff_mm"][name])
-        rows[name] = [success, f"{np.median(apart):.1f} / {apart.max():.1f}", *rest]
+        apart = [value for value in holdout["hausdorff_mm"][name] if value is not None]
+        rows[name] = [success, f"{np.median(apart):.1f} / {max(apart):.1f}" if apart else "–", *rest]
     return _methods(
         ("method", "success", "Hausdorff", "deviation", "sideways", "failures"),
         rows,
