@@ -11,11 +11,11 @@ from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.app import cli
-from koopdqn.demonstrations.cleaning import STEPS, InspectSettings, clean, evened, outlying, repeats
+from koopdqn.demonstrations.cleaning import STEPS, InspectSettings, clean, evened, jump_of, outlying, repeats
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.hdf5 import read_hdf5
-from koopdqn.demonstrations.inspection import compare, follow
+from koopdqn.demonstrations.inspection import compare, describe, findings, follow
 from koopdqn.demonstrations.schema import InspectionFile
 from koopdqn.paths import to_count
 from koopdqn.robot.arm import Arm
@@ -60,10 +60,25 @@ def test_a_spike_is_left_out_and_nothing_else(index: int) -> None:
     assert np.flatnonzero(outlying(Demonstration(0.02 * np.arange(float(len(poses))), poses))).tolist() == [index]
 
 
-def test_a_corner_is_no_outlier() -> None:
-    position = np.array([[0.4, 0.02 * min(i, 40 - i), 0.3] for i in range(41)])
+def test_a_corner_is_no_outlier_and_no_jump() -> None:
+    position = np.array([[0.4, 0.025 * min(i, 40 - i), 0.3] for i in range(41)])
     item = Demonstration(0.1 * np.arange(41.0), pose.make(position, [1.0, 0.0, 0.0, 0.0]))
     assert not outlying(item).any()
+    assert jump_of(item) == 0.0
+
+
+def test_a_step_that_stays_is_a_jump(arm: Arm) -> None:
+    poses = arc()
+    poses[100:, 0] += 0.05
+    stepped = recorded(poses)
+    assert jump_of(stepped) == pytest.approx(0.05, abs=0.002)
+    assert jump_of(recorded(arc())) == 0.0
+    found = describe(stepped, clean(stepped, steps(smoothing=True)), arm, None)
+    assert found.jump_mm == pytest.approx(50, abs=2)
+    assert found.outliers == 0
+    [line] = [each for each in findings([found], compare([stepped]), "arm", "") if each.name == "samples"]
+    assert line.state == "look"
+    assert "50 mm from one sample to the next, far faster than the rest, in 0" in line.text
 
 
 def test_a_motion_that_begins_and_ends_slowly_is_not_hurried_where_rest_is_cut() -> None:

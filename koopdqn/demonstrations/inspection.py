@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.cleaning import Cleaned
+from koopdqn.demonstrations.cleaning import Cleaned, jump_of, without_outliers
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.preprocess import noise_of
 from koopdqn.demonstrations.schema import Finding, InspectedDemonstration, Pair
@@ -104,6 +104,7 @@ def describe(raw: Demonstration, cleaned: Cleaned, arm: Arm, deviation_mm: float
         idle_after_seconds=cleaned.after,
         repeated=cleaned.repeated,
         outliers=cleaned.outliers,
+        jump_mm=1e3 * jump_of(without_outliers(raw)),
         noise_mm=1e3 * noise_m,
         noise_deg=float(np.degrees(noise_rad)),
         largest_gap=float(steps.max() / np.median(steps)),
@@ -228,7 +229,11 @@ def _samples(each: Sequence[InspectedDemonstration]) -> Finding:
     repeated, out = sum(one.repeated for one in each), sum(one.outliers for one in each)
     noise = max(one.noise_mm for one in each)
     text = f"{repeated} of {sum(one.samples for one in each)} repeated, {out} outliers, noise {noise:.2f} mm"
-    return _finding("samples", "look" if out else "good", text)
+    jumps = [index for index, one in enumerate(each) if one.jump_mm]
+    if jumps:
+        listed, farthest = ", ".join(map(str, jumps)), max(one.jump_mm for one in each)
+        text += f"; up to {farthest:.0f} mm from one sample to the next, far faster than the rest, in {listed}"
+    return _finding("samples", "look" if out or jumps else "good", text)
 
 
 def _reach(each: Sequence[InspectedDemonstration], arm: str) -> Finding:
