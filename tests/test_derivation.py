@@ -205,6 +205,18 @@ def test_a_demonstration_that_begins_at_the_goal_is_refused() -> None:
         RECIPE.derive(shown(recorded(there_and_back)))
 
 
+def test_what_closes_or_only_turns_is_called_so() -> None:
+    loops, turn = [], turned_by(np.tile(arc()[:1], (200, 1)), 1.5)
+    for index, end in enumerate(([0.03, 0.0, 0.0], [-0.03, 0.0, 0.0], [0.0, 0.0, 0.03])):
+        loop = np.concatenate([arc(), arc()[::-1]])
+        loop[:, :3] += np.linspace(0.0, 1.0, len(loop))[:, None] * end
+        loops.append(recorded(loop, seed=index))
+    with pytest.raises(BadInputError, match=r"end where they began: 0\.030 m from start to end, on a path of 0\.6"):
+        RECIPE.model_copy(update={"holdout": 0}).derive(shown(*loops))
+    with pytest.raises(BadInputError, match=r"turn only in place, never more than 0\.0 mm"):
+        RECIPE.derive(shown(recorded(turn), recorded(turn)))
+
+
 def test_ends_far_apart_are_refused() -> None:
     moved = arc()
     moved[:, 1] += 0.3
