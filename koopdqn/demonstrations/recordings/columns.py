@@ -34,6 +34,8 @@ def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording 
     found = replace(stated, where=columns.where, rows=columns.lines, reasons=(*stated.reasons, *layout.reasons))
     pose = layout.pose
     parts = (*layout.time, *layout.joints, *layout.tool, *((*pose.position, *pose.turn) if pose else ()))
+    used = {*parts, layout.demo}
+    found = replace(found, unused=tuple(name for place, name in enumerate(columns.names) if place not in used))
     needed = tuple(dict.fromkeys(parts))
     # All at once: to read text takes longer than what follows.
     numbers = columns.numbers(needed)

@@ -19,7 +19,7 @@ _FARTHEST_M: Final = 10.0
 # No rotation vector and no angle in radians is larger.
 _LARGEST_RAD: Final = 2.0 * np.pi + 0.1
 _LENGTH_TOLERANCE: Final = 0.01
-# A clock whose typical tick is longer counts something else than seconds.
+# A clock whose typical tick is as long or longer counts something else than seconds: whole ones may be milliseconds.
 _LONGEST_TICK_S: Final = 1.0
 # Seconds since 1970 between 2001 and 2100: a clock that counts them shows its unit.
 _EPOCH_S: Final = (1e9, 4.1e9)
@@ -155,7 +155,10 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     count = len(_origin(recording))
     if recording.turn is None:
         if declared.orientation is None:
-            raise _ask(recording, "orientation", "a quaternion [w,x,y,z] for all poses, as only positions are recorded")
+            rule = "a quaternion [w,x,y,z] for all poses, as only positions are recognised"
+            if recording.unused:
+                rule += f"; import.columns names it if it is among {', '.join(recording.unused[:20])}"
+            raise _ask(recording, "orientation", rule)
         reasons.append("orientation as import.orientation declares")
         return np.broadcast_to(pose.normalized(declared.orientation), (count, 4)).copy()
     turn = recording.turn
@@ -326,8 +329,8 @@ def _seconds(recording: Recording, declared: ImportSettings, reasons: list[str])
     if clock is None:
         steps = np.diff(ticks)
         tick = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        if tick > _LONGEST_TICK_S:
-            raise _ask(recording, "clock", f"s, ms, us or ns, as {tick:g} s from row to row are too long")
+        if tick >= _LONGEST_TICK_S:
+            raise _ask(recording, "clock", f"s, ms, us or ns, as {tick:g} s from row to row are too long to be granted")
         reasons.append(f"time in s, as a row takes {1e3 * tick:.3g} ms")
         clock = "s"
     if epoch is None and clock == "s":

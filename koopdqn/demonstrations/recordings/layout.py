@@ -8,6 +8,7 @@ from koopdqn.demonstrations.recordings.declared import Angles, Clock, ImportSett
 from koopdqn.demonstrations.recordings.names import (
     ANGLES,
     AXES,
+    KUKA,
     QUATERNION,
     VECTOR,
     Name,
@@ -140,7 +141,7 @@ def _check_single(where: str, names: Sequence[str], used: Sequence[int]) -> None
 
 
 def _is_pose_part(name: Name) -> bool:
-    return name.leaf in (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES) or name.leaf.isdecimal()
+    return name.leaf in (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES, *KUKA) or name.leaf.isdecimal()
 
 
 def _without_twins(names: Sequence[str]) -> Iterator[str]:

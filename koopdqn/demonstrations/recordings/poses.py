@@ -1,11 +1,20 @@
 """The poses that column names show: positions and orientations of one prefix each."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from koopdqn.demonstrations.recordings.declared import Angles, QuaternionOrder, Units
-from koopdqn.demonstrations.recordings.names import ANGLES, AXES, QUATERNION, VECTOR, Name, angle_unit, length_unit
+from koopdqn.demonstrations.recordings.names import (
+    ANGLES,
+    AXES,
+    KUKA,
+    QUATERNION,
+    VECTOR,
+    Name,
+    angle_unit,
+    length_unit,
+)
 from koopdqn.demonstrations.recordings.recording import RowRotation
 
 
@@ -23,7 +32,7 @@ JOINT_WORDS: Final = _words("q j joint joints jnt qpos")
 _POSITION: Final = _words("pos position translation trans xyz p")
 _QUATERNION: Final = _words("orientation orient ori quat quaternion rotation rot q")
 _VECTOR: Final = _words("rotvec rotvector axisangle aa")
-_ANGLES: Final = _words("rpy euler")
+_ANGLES: Final = _words("rpy euler theta")
 _TURN: Final = _QUATERNION | _VECTOR | _ANGLES | _words("vec vector axis angle angles")
 _POSE: Final = _words("pose tcp eef ee tool flange cartesian transform tf matrix")
 
@@ -97,13 +106,14 @@ def _lettered(
     positions: dict[str, PoseColumns],
     turns: dict[str, PoseColumns],
 ) -> None:
-    """Add what columns x y z, w x y z, qw qx qy qz, rx ry rz or roll pitch yaw of one prefix are."""
+    """Add what columns x y z, w x y z, qw qx qy qz, rx ry rz, roll pitch yaw or KUKA's A B C of one prefix are."""
     turned = bool(set(words) & _TURN)
     owner = _owner(words, _TURN if turned else _POSITION)
-    for names, rotation in ((QUATERNION, "quaternion"), (VECTOR, "vector"), (ANGLES, "angles")):
+    for names, rotation in ((QUATERNION, "quaternion"), (VECTOR, "vector"), (ANGLES, "angles"), (KUKA, "angles")):
         if all(leaf in leaves for leaf in names) and owner not in turns:
             own = _owner(words, _TURN | _POSITION)
-            turns[own] = _turn(own, [leaves[leaf] for leaf in names], rotation, known)
+            found = _turn(own, [leaves[leaf] for leaf in names], rotation, known)
+            turns[own] = replace(found, angles=found.angles or "deg") if names == KUKA else found
     if not all(leaf in leaves for leaf in AXES):
         return
     if turned and "w" in leaves:

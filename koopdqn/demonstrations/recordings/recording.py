@@ -30,6 +30,7 @@ class Recording:
         tool: pose (7,) of the recorded point in the flange, where the file says it, or (N, 7) where that changes.
         rows: (N,) what to call each row in messages; counted from 0 if None.
         frame: the frame's name, or an empty text.
+        unused: names of columns that were taken for nothing.
         reasons: why it was read so, a line each.
     """
 
@@ -47,6 +48,7 @@ class Recording:
     tool: Array | None = None
     rows: np.ndarray | None = None
     frame: str = ""
+    unused: tuple[str, ...] = ()
     reasons: tuple[str, ...] = field(default=())
 
     def row(self, index: int) -> str:
