@@ -234,7 +234,24 @@ def test_a_last_line_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:-30])
     loaded = load(path, declared({}), None)
     same(loaded.items[0].poses, POSES[:-1])
-    assert "the last line cut off and left out" in loaded.reasons[0]
+    assert f"line {ROWS + 1}, the last, cut off and left out" in loaded.reasons[0]
+    path.write_text("\n".join(path.read_text().splitlines()[:2]) + "\n0.02,0.1,")
+    with pytest.raises(BadInputError, match="line 3: must have 8 cells as the header, found 3"):
+        poses_in(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "other"),
+    [("rx ry rz", VECTOR), ("roll pitch yaw", np.degrees(ANGLES)), ("rot_x rot_y rot_z rot_w", XYZW)],
+)
+def test_two_orientations_must_agree(tmp_path: Path, names: str, other: Array) -> None:
+    header = f"t x y z qw qx qy qz {names}"
+    same(poses_in(written(tmp_path / "same.csv", header, TIMES, POSES, other))[0], POSES)
+    path = written(tmp_path / "otherwise.csv", header, TIMES, POSES, other[::-1])
+    with pytest.raises(BadInputError, match=r"orientations of .* must agree within 1°, found .*import\.columns"):
+        poses_in(path)
+    chosen = {role: role for role in ("t", *"xyz", "qw", "qx", "qy", "qz")}
+    same(poses_in(path, columns=chosen)[0], POSES)
 
 
 WORD = st.from_regex(r"[a-z]{2,6}", fullmatch=True)

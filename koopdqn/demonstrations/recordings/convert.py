@@ -1,6 +1,6 @@
 """Recordings to demonstrations: the one place where units, orders, clocks and frames are settled, or asked for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -26,6 +26,8 @@ _EPOCH_S: Final = (1e9, 4.1e9)
 # A turn counts as so much of path where the path is the clock [m/rad].
 _TURN_LENGTH: Final = 0.1
 _MATRIX_TOLERANCE: Final = 0.01
+# Two orientations of one pose are the same within this [°].
+_SAME_TURN_DEG: Final = 1.0
 # The measured pose lies this still in the flange that joints give [m, rad], if it is a tool on this arm.
 _SAME_ARM: Final = (0.001, 0.01)
 
@@ -68,6 +70,7 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
             asked.append(str(error))
         try:
             quaternion = _quaternion(recording, declared, reasons)
+            _check_other(recording, declared, quaternion)
         except AskError as error:
             asked.append(str(error))
         _check_asked(recording, declared, asked)
@@ -195,6 +198,25 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     if np.abs(radians).max(initial=0.0) > 2.0 * _LARGEST_RAD:
         raise BadInputError(f"demos {recording.where}: angles must turn at most twice around, found {largest:g}")
     return pose.from_rotation_vector(radians) if rotation == "vector" else pose.from_roll_pitch_yaw(radians)
+
+
+def _check_other(recording: Recording, declared: ImportSettings, quaternion: Array) -> None:
+    """Raise BadInputError if another orientation of the same poses is known and tells otherwise in most rows."""
+    other = recording.other
+    if other is None or other.turn is None:
+        return
+    if other.angles is None and np.abs(other.turn).max(initial=0.0) > _LARGEST_RAD:
+        other = replace(other, angles="deg")
+    try:
+        found = _quaternion(replace(other, position=recording.position), declared, [])
+    except AskError:
+        return
+    apart = float(np.degrees(np.median(pose.angle_of(pose.multiply(quaternion, pose.conjugate(found))))))
+    if apart > _SAME_TURN_DEG:
+        raise BadInputError(
+            f"demos {recording.where}: the orientations of {other.where} must agree within {_SAME_TURN_DEG:g}°, found"
+            f" them {apart:.1f}° apart; import.columns={{x: NAME, …}} names the one to read"
+        )
 
 
 def _ordered(recording: Recording, declared: ImportSettings, reasons: list[str]) -> Array:
