@@ -58,7 +58,7 @@ def test_what_a_held_out_demonstration_does_otherwise_is_a_remark() -> None:
     elsewhere, turned = arc(0.04), arc(0.04)
     elsewhere[:, 1] += 0.3
     turned[:, 3:] = pose.multiply(HORIZONTAL, pose.from_rotation_vector([0.0, 0.0, 0.5 * np.pi]))
-    found = {}
+    found: dict[int, list[str]] = {}
     for last in (arc(0.04), elsewhere, turned, arc(0.04)[:100]):
         derived = RECIPE.derive(shown(recorded(arc()), recorded(arc(0.02)), recorded(last)))
         found[len(found)] = [note for note in derived.notes if "demonstration 2" in note]
@@ -105,6 +105,16 @@ def test_what_is_clean_is_learned_to_the_byte_as_without_a_sieve(monkeypatch: py
     sieved = RECIPE.derive(shown(*items)).training.digest()
     monkeypatch.setattr("koopdqn.demonstrations.derivation.without_outliers", lambda item: item)
     assert RECIPE.derive(shown(*items)).training.digest() == sieved
+
+
+def test_two_ways_are_told() -> None:
+    items = []
+    for index in range(5):
+        poses = arc(0.004 * index)
+        poses[:, 0] += (0.06 if index % 2 else -0.06) * np.sin(np.linspace(0.0, np.pi, len(poses)))
+        items.append(recorded(poses))
+    notes = RECIPE.derive(shown(*items)).notes
+    assert any("go two ways (0, 2 and 1, 3)" in note for note in notes)
 
 
 def test_a_jump_that_stays_is_told() -> None:

@@ -139,6 +139,26 @@ def test_the_odd_one_and_the_double_are_found() -> None:
     assert beside.spread_mm[0] > beside.spread_mm[-1]
 
 
+def test_two_ways_are_told_and_starts_apart_are_none(arm: Arm) -> None:
+    bulges, starts, spread = [], [], []
+    for index in range(6):
+        bulge, side = arc(0.004 * index), 1.0 if index % 2 else -1.0
+        bulge[:, 0] += side * 0.06 * np.sin(np.linspace(0.0, np.pi, len(bulge)))
+        start = arc(0.004 * index)
+        start[:, 0] += side * np.linspace(0.08, 0.0, len(start))
+        bulges.append(recorded(bulge))
+        starts.append(recorded(start))
+        spread.append(recorded(arc(0.03 * index)))
+    assert compare(bulges).ways == [[0, 2, 4], [1, 3, 5]]
+    assert compare(bulges).parted.startswith("demonstrations go two ways (0, 2, 4 and 1, 3, 5): what lies between")
+    for others in (starts, spread, bulges[:3], [*bulges[::2], bulges[1]]):
+        assert compare(others).ways == []
+        assert compare(others).parted == ""
+    each = [describe(bulges[0], clean(bulges[0], steps()), arm, None)]
+    [line] = [one for one in findings(each, compare(bulges), "arm", "") if one.name == "spread"]
+    assert line.state == "look"
+
+
 @pytest.mark.parametrize("count", [3, 4, 6])
 def test_one_driven_backwards_is_odd_however_few_there_are(count: int) -> None:
     items = [recorded(arc(0.004 * index)) for index in range(count)]

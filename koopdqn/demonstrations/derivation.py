@@ -125,7 +125,7 @@ class Derivation(TaskChoice):
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_ABOUT_ONE[: len(learned) == 1],
-            *_about_odd(learned),
+            *_about_together(learned),
             *self._about_held_out(aside, learned, goal, turning),
         )
         training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
@@ -279,12 +279,15 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
     )
 
 
-def _about_odd(items: Sequence[Demonstration]) -> list[str]:
+def _about_together(items: Sequence[Demonstration]) -> list[str]:
     beside = compare(items)
     return [
-        f"demonstration {index} is {beside.deviation_mm[index]:.0f} mm off the others' mean, over three times as far as"
-        " they are, and the trust domain reaches as far; was it meant so?"
-        for index in beside.odd
+        *filter(None, [beside.parted]),
+        *(
+            f"demonstration {index} is {beside.deviation_mm[index]:.0f} mm off the others' mean, over three times as"
+            " far as they are, and the trust domain reaches as far; was it meant so?"
+            for index in beside.odd
+        ),
     ]
 
 
