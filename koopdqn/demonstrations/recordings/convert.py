@@ -352,7 +352,8 @@ def _seconds(recording: Recording, declared: ImportSettings, reasons: list[str])
         steps = np.diff(ticks)
         tick = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         if tick >= _LONGEST_TICK_S:
-            raise _ask(recording, "clock", f"s, ms, us or ns, as {tick:g} s from row to row are too long to be granted")
+            rule = f"s, ms, us or ns, as {tick:g} s from row to row are too long to be taken for seconds"
+            raise _ask(recording, "clock", rule)
         reasons.append(f"time in s, as a row takes {1e3 * tick:.3g} ms")
         clock = "s"
     if epoch is None and clock == "s":
