@@ -348,6 +348,7 @@ def test_a_run_goes_on_from_its_own_copies_of_its_inputs(
 def test_a_path_named_like_a_number_is_a_path(name: str) -> None:
     assert prepare("demo", [f"out={name}"]).overrides[0] == f"out='{name}'"
     assert prepare("demo", [f"out=run{name}"]).overrides[0] == f"out=run{name}"
+    assert f"import.pose='{name}'" in prepare("import", [f"import.pose={name}"]).overrides
 
 
 def test_two_runs_of_one_second_get_a_folder_each() -> None:

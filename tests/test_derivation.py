@@ -54,6 +54,24 @@ def test_start_goal_step_and_rule_are_those_shown() -> None:
     assert task.rule_broken(turned_by(arc(), 0.5))[:10].all()
 
 
+def test_what_a_held_out_demonstration_does_otherwise_is_a_remark() -> None:
+    elsewhere, turned = arc(0.04), arc(0.04)
+    elsewhere[:, 1] += 0.3
+    turned[:, 3:] = pose.multiply(HORIZONTAL, pose.from_rotation_vector([0.0, 0.0, 0.5 * np.pi]))
+    found: dict[int, list[str]] = {}
+    for last in (arc(0.04), elsewhere, turned, arc(0.04)[:100]):
+        derived = RECIPE.derive(shown(recorded(arc()), recorded(arc(0.02)), recorded(last)))
+        found[len(found)] = [note for note in derived.notes if "demonstration 2" in note]
+        np.testing.assert_allclose(np.abs(derived.held_out[0].poses[:, 3:] @ last[0, 3:]), 1.0)
+    assert found[0] == []
+    for index, words in enumerate(("300 mm from the goal", "turned 90°", "mm from the goal"), 1):
+        assert words in found[index][0]
+    free = RECIPE.model_copy(update={"turning": "free"})
+    derived = free.derive(shown(recorded(arc()), recorded(arc(0.02)), recorded(turned)))
+    assert not any("demonstration 2" in note for note in derived.notes)
+    np.testing.assert_allclose(derived.held_out[0].poses[:, 3:], derived.training.items[0].poses[:, 3:], atol=1e-9)
+
+
 def test_one_demonstration_is_enough_and_said_to_be_one() -> None:
     derived = RECIPE.derive(shown(recorded(arc())))
     assert derived.held_out == ()
@@ -68,6 +86,42 @@ def test_an_odd_one_is_said_to_be_odd() -> None:
     odd = RECIPE.model_copy(update={"holdout": 0}).derive(shown(*items[:2], recorded(bulge), *items[2:]))
     assert [note[:16] for note in odd.notes if "the trust domain reaches" in note] == ["demonstration 2 "]
     assert not any("the trust domain reaches" in note for note in three().notes)
+
+
+@pytest.mark.parametrize("spike", [[0.2, 0.0, 0.0], [-0.45, 0.1, -0.5]])
+def test_a_bad_sample_bends_nothing_and_is_told(spike: list[float]) -> None:
+    recipe = RECIPE.model_copy(update={"holdout": 0})
+    poses = arc()
+    poses[60, :3] += spike
+    plain, spiked = recipe.derive(shown(recorded(arc()))), recipe.derive(shown(recorded(poses)))
+    assert any("far off their neighbours left out: 1, in demonstrations 0" in note for note in spiked.notes)
+    assert not any("far off" in note for note in plain.notes)
+    apart = spiked.training.items[0].poses[:, None, :3] - plain.training.items[0].poses[None, :, :3]
+    assert np.linalg.norm(apart, axis=2).min(axis=1).max() < 0.0005
+
+
+def test_what_is_clean_is_learned_to_the_byte_as_without_a_sieve(monkeypatch: pytest.MonkeyPatch) -> None:
+    items = [recorded(arc(0.01 * index), idle=20, noise=0.0005, seed=index) for index in range(3)]
+    sieved = RECIPE.derive(shown(*items)).training.digest()
+    monkeypatch.setattr("koopdqn.demonstrations.derivation.without_outliers", lambda item: item)
+    assert RECIPE.derive(shown(*items)).training.digest() == sieved
+
+
+def test_two_ways_are_told() -> None:
+    items = []
+    for index in range(5):
+        poses = arc(0.004 * index)
+        poses[:, 0] += (0.06 if index % 2 else -0.06) * np.sin(np.linspace(0.0, np.pi, len(poses)))
+        items.append(recorded(poses))
+    notes = RECIPE.derive(shown(*items)).notes
+    assert any("go two ways (0, 2 and 1, 3)" in note for note in notes)
+
+
+def test_a_jump_that_stays_is_told() -> None:
+    poses = arc()
+    poses[100:, 0] += 0.15
+    notes = RECIPE.derive(shown(recorded(poses))).notes
+    assert any("demonstration 0 jumps by 150 mm" in note for note in notes)
 
 
 @pytest.mark.parametrize("holdout", [1, 5])
@@ -169,6 +223,18 @@ def test_a_demonstration_that_begins_at_the_goal_is_refused() -> None:
     there_and_back = np.concatenate([arc(), arc()[::-1]])
     with pytest.raises(BadInputError, match=r"demonstration 0 must start at least 0\.02 m from the goal"):
         RECIPE.derive(shown(recorded(there_and_back)))
+
+
+def test_what_closes_or_only_turns_is_called_so() -> None:
+    loops, turn = [], turned_by(np.tile(arc()[:1], (200, 1)), 1.5)
+    for index, end in enumerate(([0.03, 0.0, 0.0], [-0.03, 0.0, 0.0], [0.0, 0.0, 0.03])):
+        loop = np.concatenate([arc(), arc()[::-1]])
+        loop[:, :3] += np.linspace(0.0, 1.0, len(loop))[:, None] * end
+        loops.append(recorded(loop, seed=index))
+    with pytest.raises(BadInputError, match=r"end where they began: 0\.030 m from start to end, on a path of 0\.6"):
+        RECIPE.model_copy(update={"holdout": 0}).derive(shown(*loops))
+    with pytest.raises(BadInputError, match=r"turn only in place, never more than 0\.0 mm"):
+        RECIPE.derive(shown(recorded(turn), recorded(turn)))
 
 
 def test_ends_far_apart_are_refused() -> None:

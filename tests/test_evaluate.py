@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from rich.console import Console
 from rich.table import Table
 
+from koopdqn import pose
 from koopdqn.app.commands.eval import holdout_table, off, table
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation import schema
@@ -127,6 +128,21 @@ def test_dynamics_runs_the_first_successful_paths_only() -> None:
     succeeded = sum(episode.outcome == SUCCESS for episode in evaluation.episodes)
     assert evaluation.report["dynamics"]["episodes"] == min(succeeded, SETTINGS.dynamics_episodes)
     assert evaluation.report["dynamics"]["contacts"]["episodes"] == 0
+
+
+def test_a_path_that_never_began_has_no_distance_and_a_held_out_turn_is_measured_as_recorded() -> None:
+    known = taught()
+    far, turned = known.trajectories[0].copy(), known.trajectories[0].copy()
+    far[:, 0] += 5.0
+    turned[:, 3:] = pose.multiply(turned[:, 3:], pose.from_rotation_vector([0.0, 0.0, 0.5 * np.pi]))
+    policy = Greedy(known.model, shelf().task)
+    report = evaluate(shelf(), policy, reward_of(known), known.trajectories, SHORT, 700, held_out=[far, turned]).report
+    never, begun = report["holdout"]["hausdorff_mm"]["policy"]
+    assert never is None
+    assert begun is not None
+    assert report["holdout"]["policy"]["rotation_deviation_deg"]["mean"] == pytest.approx(90, abs=3)
+    alone = {**report["holdout"], "hausdorff_mm": {"policy": [None]}}
+    assert "–" in printed(holdout_table({**report, "holdout": alone}), 100)
 
 
 def models() -> list[type[BaseModel]]:

@@ -11,11 +11,11 @@ from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.app import cli
-from koopdqn.demonstrations.cleaning import STEPS, InspectSettings, clean, evened, outlying, repeats
+from koopdqn.demonstrations.cleaning import STEPS, InspectSettings, clean, evened, jump_of, outlying, repeats
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.hdf5 import read_hdf5
-from koopdqn.demonstrations.inspection import compare, follow
+from koopdqn.demonstrations.inspection import compare, describe, findings, follow
 from koopdqn.demonstrations.schema import InspectionFile
 from koopdqn.paths import to_count
 from koopdqn.robot.arm import Arm
@@ -60,10 +60,25 @@ def test_a_spike_is_left_out_and_nothing_else(index: int) -> None:
     assert np.flatnonzero(outlying(Demonstration(0.02 * np.arange(float(len(poses))), poses))).tolist() == [index]
 
 
-def test_a_corner_is_no_outlier() -> None:
-    position = np.array([[0.4, 0.02 * min(i, 40 - i), 0.3] for i in range(41)])
+def test_a_corner_is_no_outlier_and_no_jump() -> None:
+    position = np.array([[0.4, 0.025 * min(i, 40 - i), 0.3] for i in range(41)])
     item = Demonstration(0.1 * np.arange(41.0), pose.make(position, [1.0, 0.0, 0.0, 0.0]))
     assert not outlying(item).any()
+    assert jump_of(item) == 0.0
+
+
+def test_a_step_that_stays_is_a_jump(arm: Arm) -> None:
+    poses = arc()
+    poses[100:, 0] += 0.05
+    stepped = recorded(poses)
+    assert jump_of(stepped) == pytest.approx(0.05, abs=0.002)
+    assert jump_of(recorded(arc())) == 0.0
+    found = describe(stepped, clean(stepped, steps(smoothing=True)), arm, None)
+    assert found.jump_mm == pytest.approx(50, abs=2)
+    assert found.outliers == 0
+    [line] = [each for each in findings([found], compare([stepped]), "arm", "") if each.name == "samples"]
+    assert line.state == "look"
+    assert "50 mm from one sample to the next, far faster than the rest, in 0" in line.text
 
 
 def test_a_motion_that_begins_and_ends_slowly_is_not_hurried_where_rest_is_cut() -> None:
@@ -122,6 +137,26 @@ def test_the_odd_one_and_the_double_are_found() -> None:
     assert beside.odd == [5]
     assert [(pair.first, pair.second) for pair in beside.duplicates] == [(2, 6)]
     assert beside.spread_mm[0] > beside.spread_mm[-1]
+
+
+def test_two_ways_are_told_and_starts_apart_are_none(arm: Arm) -> None:
+    bulges, starts, spread = [], [], []
+    for index in range(6):
+        bulge, side = arc(0.004 * index), 1.0 if index % 2 else -1.0
+        bulge[:, 0] += side * 0.06 * np.sin(np.linspace(0.0, np.pi, len(bulge)))
+        start = arc(0.004 * index)
+        start[:, 0] += side * np.linspace(0.08, 0.0, len(start))
+        bulges.append(recorded(bulge))
+        starts.append(recorded(start))
+        spread.append(recorded(arc(0.03 * index)))
+    assert compare(bulges).ways == [[0, 2, 4], [1, 3, 5]]
+    assert compare(bulges).parted.startswith("demonstrations go two ways (0, 2, 4 and 1, 3, 5): what lies between")
+    for others in (starts, spread, bulges[:3], [*bulges[::2], bulges[1]]):
+        assert compare(others).ways == []
+        assert compare(others).parted == ""
+    each = [describe(bulges[0], clean(bulges[0], steps()), arm, None)]
+    [line] = [one for one in findings(each, compare(bulges), "arm", "") if one.name == "spread"]
+    assert line.state == "look"
 
 
 @pytest.mark.parametrize("count", [3, 4, 6])

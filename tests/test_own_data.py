@@ -84,6 +84,14 @@ def test_fit_says_what_it_found_and_holds_the_last_out(logs: Path, capsys: pytes
     assert (logs / "again" / "intent.npz").read_bytes() == (logs / "fitted" / "intent.npz").read_bytes()
 
 
+def test_that_the_arm_cannot_follow_what_is_held_out_is_told(logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = arc(0.02)
+    out[:, 0] += np.linspace(1.5, 0.0, len(out))
+    write_csv(logs / "log_2.csv", [recorded(out)])
+    assert cli.main(["fit", "task=demonstrated", "demos=log_*.csv", "intent.count=40", "intent.copies=2"]) == 0
+    assert "the arm cannot follow demonstration 2, kept for evaluation" in capsys.readouterr().err
+
+
 def test_training_and_evaluation_from_a_single_set_of_files(logs: Path, printed: Printed) -> None:
     short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
     assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)

@@ -84,6 +84,12 @@ SAID: dict[str, tuple[str, tuple[Array, ...], dict[str, Any]]] = {
         (TIMES, P, np.degrees(ANGLES)),
         {"rotation": "angles", "angles": "deg"},
     ),
+    "kortex": (
+        joined(["time", *(f"tool_pose_{a}" for a in "xyz"), *(f"tool_pose_theta_{a}" for a in "xyz")]),
+        (TIMES, P, np.degrees(ANGLES)),
+        {"angles": "deg"},
+    ),
+    "kuka": ("Time X Y Z A B C", (TIMES, 1e3 * P, np.degrees(ANGLES[:, ::-1])), {"units": "mm"}),
     "franka": (joined([numbered("O_T_EE", 16), numbered("O_T_EE_d", 16)]), (FRANKA, OTHER), {"rate_hz": HZ}),
     "two poses": (
         "x y z q0 q1 q2 q3 x y z q0 q1 q2 q3",
@@ -144,8 +150,10 @@ def test_declared_order_of_columns(tmp_path: Path) -> None:
         ("t pos_x pos_y pos_z rx ry rz", (TIMES, P, np.degrees(ANGLES)), ("import.rotation",)),
         ("t pos_x pos_y pos_z rot_x rot_y rot_z", (TIMES, P, VECTOR), ("import.rotation",)),
         ("t pos_x pos_y pos_z", (TIMES, P), ("import.orientation",)),
+        ("t x y z tilt pan spin", (TIMES, P, ANGLES), ("import.orientation", "import.columns", "tilt, pan, spin")),
         ("n pos_x pos_y pos_z qw qx qy qz", (TIMES, P, QUATERNION), ("import.rate_hz", "import.speed_m_s")),
         ("time pos_x pos_y pos_z qw qx qy qz", (1e3 * TIMES, P, QUATERNION), ("import.clock",)),
+        ("time pos_x pos_y pos_z qw qx qy qz", (HZ * TIMES, P, QUATERNION), ("import.clock",)),
         ("t a.x a.y a.z a.qw a.qx a.qy a.qz b.x b.y b.z b.qw b.qx b.qy b.qz", (TIMES, POSES, POSES), ("import.pose",)),
         ("t alpha beta gamma", (TIMES, P), ("import.columns",)),
         (None, (P, VECTOR), ("import.columns",)),
@@ -158,6 +166,13 @@ def test_what_a_file_does_not_say_is_asked_for_by_name(
     with pytest.raises(BadInputError) as caught:
         poses_in(path)
     assert all(key in str(caught.value) for key in keys), caught.value
+
+
+@pytest.mark.parametrize(("clock", "seconds"), [("s", 1.0), ("ms", 0.001)])
+def test_whole_ticks_are_what_is_declared(tmp_path: Path, clock: str, seconds: float) -> None:
+    path = written(tmp_path / "log.csv", "t x y z qw qx qy qz", HZ * TIMES, P, QUATERNION)
+    (item,) = load(path, declared({"clock": clock}), None).items
+    np.testing.assert_allclose(item.times, seconds * np.arange(ROWS))
 
 
 def test_path_length_as_the_clock(tmp_path: Path) -> None:
@@ -219,7 +234,24 @@ def test_a_last_line_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:-30])
     loaded = load(path, declared({}), None)
     same(loaded.items[0].poses, POSES[:-1])
-    assert "the last line cut off and left out" in loaded.reasons[0]
+    assert f"line {ROWS + 1}, the last, cut off and left out" in loaded.reasons[0]
+    path.write_text("\n".join(path.read_text().splitlines()[:2]) + "\n0.02,0.1,")
+    with pytest.raises(BadInputError, match="line 3: must have 8 cells as the header, found 3"):
+        poses_in(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "other"),
+    [("rx ry rz", VECTOR), ("roll pitch yaw", np.degrees(ANGLES)), ("rot_x rot_y rot_z rot_w", XYZW)],
+)
+def test_two_orientations_must_agree(tmp_path: Path, names: str, other: Array) -> None:
+    header = f"t x y z qw qx qy qz {names}"
+    same(poses_in(written(tmp_path / "same.csv", header, TIMES, POSES, other))[0], POSES)
+    path = written(tmp_path / "otherwise.csv", header, TIMES, POSES, other[::-1])
+    with pytest.raises(BadInputError, match=r"orientations of .* must agree within 1°, found .*import\.columns"):
+        poses_in(path)
+    chosen = {role: role for role in ("t", *"xyz", "qw", "qx", "qy", "qz")}
+    same(poses_in(path, columns=chosen)[0], POSES)
 
 
 WORD = st.from_regex(r"[a-z]{2,6}", fullmatch=True)

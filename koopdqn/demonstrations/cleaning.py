@@ -21,6 +21,8 @@ _REST_S: Final = 0.2
 # is also farther from both neighbours than twice what lies between them and three usual steps; at a corner it is not.
 _OUT_M, _OUT_RAD, _USUAL = 0.005, 0.05, 6.0
 _MOST_TIMES: Final = 10.0
+# A longer step [m] is a jump if it is so many times as fast as nearly all [%] that move at all.
+_JUMP_M, _JUMP, _NEARLY_ALL = 0.02, 5.0, 95.0
 
 
 class InspectSettings(Settings):
@@ -62,8 +64,8 @@ def clean(item: Demonstration, steps: InspectSettings) -> Cleaned:
         kept = ~repeats(item)
         item, repeated = _rows(item, kept), int((~kept).sum())
     if steps.outliers:
-        kept = ~outlying(item)
-        item, outliers = _rows(item, kept), int((~kept).sum())
+        sound = without_outliers(item)
+        item, outliers = sound, len(item) - len(sound)
     if steps.idle_ends:
         trimmed = trim_idle(item)
         item, before, after = _unhurried(trimmed.item, trimmed.before, trimmed.after)
@@ -106,6 +108,19 @@ def repeats(item: Demonstration) -> np.ndarray:
     long = item.times[ends] - item.times[begins] > _REST_S
     same[ends[long]] = False
     return np.asarray(same)
+
+
+def without_outliers(item: Demonstration) -> Demonstration:
+    """Return a demonstration without the samples that are :func:`outlying`; itself where there are none."""
+    return _rows(item, ~outlying(item))
+
+
+def jump_of(item: Demonstration) -> float:
+    """Return the largest step [m] that is made far faster than the rest of the motion; 0 if there is none."""
+    moved = pose.position_distance(item.poses[1:], item.poses[:-1])
+    speed = moved / np.diff(item.times)
+    usual = np.percentile(speed[speed > 0.0], _NEARLY_ALL) if (speed > 0.0).any() else 0.0
+    return float(moved[(moved > _JUMP_M) & (speed > _JUMP * usual)].max(initial=0.0))
 
 
 def outlying(item: Demonstration) -> np.ndarray:

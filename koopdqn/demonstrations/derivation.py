@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
+from koopdqn.demonstrations.cleaning import jump_of, without_outliers
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
 from koopdqn.demonstrations.inspection import compare
 from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
@@ -43,7 +44,8 @@ class Derived:
     Attributes:
         task: the task.
         training: without idle ends and sensor noise, each bent to end at the goal.
-        held_out: kept for evaluation, without idle ends and sensor noise, with their own ends.
+        held_out: kept for evaluation, without idle ends and sensor noise, with their own ends and orientation; with the
+            goal's orientation where that is free.
         notes: lines for people about the result.
     """
 
@@ -100,7 +102,8 @@ class Derivation(TaskChoice):
                 goal.
         """
         kept = self.kept_of(len(demonstrations))
-        cut = trim_idle_each(demonstrations.items)
+        clear = [without_outliers(item) for item in demonstrations.items]
+        cut = trim_idle_each(clear)
         smoothed = [smooth(each.item) for each in cut]
         learned, aside = smoothed[: len(smoothed) - kept], smoothed[len(smoothed) - kept :]
         goal = preprocess.goal_of(learned)
@@ -118,14 +121,18 @@ class Derivation(TaskChoice):
         task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
         notes = (
             _about_recordings(cut, smoothed, kept),
+            *_about_samples(demonstrations.items, clear),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_about_turns_away(task),
             *_ABOUT_ONE[: len(learned) == 1],
-            *_about_odd(learned),
+            *_about_together(learned),
+            *self._about_held_out(aside, learned, goal, turning),
         )
         training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
-        return Derived(task, training, tuple(_oriented(item, goal, turning) for item in aside), notes)
+        if turning == "free":
+            aside = [_oriented(item, goal, turning) for item in aside]
+        return Derived(task, training, tuple(aside), notes)
 
     def kept_of(self, count: int) -> int:
         """Return how many of ``count`` demonstrations are held out.
@@ -139,6 +146,23 @@ class Derivation(TaskChoice):
                 f"task.holdout must leave a demonstration to learn from, found {kept} of {count} held out"
             )
         return kept
+
+    def _about_held_out(
+        self, aside: Sequence[Demonstration], learned: Sequence[Demonstration], goal: Array, turning: RotationType
+    ) -> Iterator[str]:
+        """Yield what would be an error in a demonstration learned from; of one kept for evaluation it is a remark."""
+        most = self.end_spread * preprocess.way_of(learned)
+        for index, item in enumerate(aside, len(learned)):
+            apart = float(pose.position_distance(item.poses[-1], goal))
+            turned = float(pose.rotation_distance(item.poses[-1], goal))
+            found = [f"{apart * 1e3:.0f} mm from the goal"] if apart > most else []
+            if turning != "free" and turned > self.end_spread_rad:
+                found.append(f"turned {np.degrees(turned):.0f}° from the goal's orientation")
+            if found:
+                yield (
+                    f"demonstration {index}, kept for evaluation, ends {' and '.join(found)}, unlike those learned"
+                    " from: what is measured against it says little"
+                )
 
     def _task(self, training: Demonstrations, goal: Array, turning: RotationType, kept: int) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
@@ -212,6 +236,19 @@ def _about_recordings(cut: list[Trimmed], smoothed: list[Demonstration], kept: i
     )
 
 
+def _about_samples(recorded: Sequence[Demonstration], clear: Sequence[Demonstration]) -> Iterator[str]:
+    lost = [len(one) - len(rest) for one, rest in zip(recorded, clear, strict=True)]
+    if any(lost):
+        listed = ", ".join(str(index) for index, count in enumerate(lost) if count)
+        yield f"samples far off their neighbours left out: {sum(lost)}, in demonstrations {listed}"
+    for index, jump in enumerate(map(jump_of, clear)):
+        if jump:
+            yield (
+                f"demonstration {index} jumps by {jump * 1e3:.0f} mm from one sample to the next, far faster than the"
+                " rest of it, and the jump is learned; was it meant so?"
+            )
+
+
 def _taken_out(recorded: Demonstration, smoothed: Demonstration) -> float:
     """Return the RMS distance [m] between a recording and its smoothed version."""
     there = at_arc_lengths(smoothed.poses[:, pose.POSITION], smoothed.times, recorded.times)
@@ -254,12 +291,15 @@ def _about_turns_away(task: DemonstratedTask) -> list[str]:
     ]
 
 
-def _about_odd(items: Sequence[Demonstration]) -> list[str]:
+def _about_together(items: Sequence[Demonstration]) -> list[str]:
     beside = compare(items)
     return [
-        f"demonstration {index} is {beside.deviation_mm[index]:.0f} mm off the others' mean, over three times as far as"
-        " they are, and the trust domain reaches as far; was it meant so?"
-        for index in beside.odd
+        *filter(None, [beside.parted]),
+        *(
+            f"demonstration {index} is {beside.deviation_mm[index]:.0f} mm off the others' mean, over three times as"
+            " far as they are, and the trust domain reaches as far; was it meant so?"
+            for index in beside.odd
+        ),
     ]
 
 

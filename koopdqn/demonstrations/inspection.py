@@ -1,13 +1,13 @@
 """What demonstrations are good for: on this arm, beside one another, and for learning."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.cleaning import Cleaned
+from koopdqn.demonstrations.cleaning import Cleaned, jump_of, without_outliers
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.preprocess import noise_of
 from koopdqn.demonstrations.schema import Finding, InspectedDemonstration, Pair
@@ -28,6 +28,8 @@ _PLACES: Final = 51
 _SAME_MM: Final = 0.1
 _ODD: Final = 3.0
 _MOST_ODD: Final = 10
+# Two groups go different ways if so many times as far apart as each is wide; less will do once starts are left out.
+_CLEARLY, _STILL_TOLD = 2.0, 0.5
 _GAP: Final = 10.0
 # One more demonstration tells little if it brings the one left out nearer by less than this share.
 _LITTLE: Final = 0.1
@@ -104,6 +106,7 @@ def describe(raw: Demonstration, cleaned: Cleaned, arm: Arm, deviation_mm: float
         idle_after_seconds=cleaned.after,
         repeated=cleaned.repeated,
         outliers=cleaned.outliers,
+        jump_mm=1e3 * jump_of(without_outliers(raw)),
         noise_mm=1e3 * noise_m,
         noise_deg=float(np.degrees(noise_rad)),
         largest_gap=float(steps.max() / np.median(steps)),
@@ -124,6 +127,7 @@ class Together:
         duplicates: pairs that are the same. ``odd``: those far off all others.
         spread_mm: RMS distance from the mean at 0, 25, 50, 75 and 100 % of the path.
         left_out_mm: mean distance of one left out from the mean of 1, 2, … others.
+        ways: the two groups that go clearly different ways; empty where all go one.
     """
 
     deviation_mm: list[float]
@@ -131,6 +135,15 @@ class Together:
     odd: list[int]
     spread_mm: list[float]
     left_out_mm: list[float]
+    ways: list[list[int]] = field(default_factory=list)
+
+    @property
+    def parted(self) -> str:
+        """That they go two ways, in words; empty where all go one."""
+        if not self.ways:
+            return ""
+        groups = " and ".join(", ".join(map(str, way)) for way in self.ways)
+        return f"demonstrations go two ways ({groups}): what lies between is learned; learn each way from its own"
 
     @property
     def enough(self) -> bool:
@@ -163,7 +176,34 @@ def compare(items: Sequence[Demonstration]) -> Together:
     mean = 1e3 * mean_poses([item.poses for item in items], _PLACES)[:, POSITION]
     spread = np.sqrt(((paths - mean) ** 2).sum(axis=2).mean(axis=0))
     places = np.linspace(0, _PLACES - 1, 5).astype(int)
-    return Together(deviation.tolist(), same, odd, spread[places].tolist(), curve)
+    return Together(deviation.tolist(), same, odd, spread[places].tolist(), curve, _two_ways(paths))
+
+
+def _two_ways(paths: Array) -> list[list[int]]:
+    """Return the two groups into which paths (N, P, 3) [mm] fall by their distances; none unless clearly so.
+
+    Groups of two at least, farther from each other than twice what is within them. Where starts alone are that far
+    apart, offsets that fade on the way would do it: without them the groups must still be told apart.
+    """
+    if len(paths) < 4:
+        return []
+    from scipy.cluster.hierarchy import fcluster, linkage
+    from scipy.spatial.distance import squareform
+
+    apart = np.array([_apart(paths, path) for path in paths])
+    second = fcluster(linkage(squareform(apart, checks=False), "single"), 2, "maxclust") != 1
+    if not 2 <= second.sum() <= len(paths) - 2:
+        return []
+    share = np.linspace(0.0, 1.0, _PLACES)[:, None]
+    start, end = (paths[:, each] - paths[:, each].mean(axis=0) for each in ([0], [-1]))
+    moved = paths - (1.0 - share) * start - share * end
+    for distances, times in ((apart, _CLEARLY), (np.array([_apart(moved, path) for path in moved]), _STILL_TOLD)):
+        between = float(distances[np.ix_(second, ~second)].min())
+        within = max(float(distances[np.ix_(group, group)].max()) for group in (second, ~second))
+        if between < max(times * within, _FINE_MM):
+            return []
+    groups = [np.flatnonzero(group).tolist() for group in (second, ~second)]
+    return sorted(groups)
 
 
 def _usual(paths: Array) -> float:
@@ -200,7 +240,9 @@ def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str,
         found.append(_finding("odd one out", "look" if beside.odd else "good", text if beside.odd else "none"))
     if beside.spread_mm:
         text = " ".join(f"{value:.0f}" for value in beside.spread_mm) + " mm at 0, 25, 50, 75 and 100 % of the path"
-        found.append(_finding("spread", "good", text))
+        if beside.ways:
+            text += f"; {beside.parted}"
+        found.append(_finding("spread", "look" if beside.ways else "good", text))
     found.append(_enough(beside))
     return found
 
@@ -228,7 +270,11 @@ def _samples(each: Sequence[InspectedDemonstration]) -> Finding:
     repeated, out = sum(one.repeated for one in each), sum(one.outliers for one in each)
     noise = max(one.noise_mm for one in each)
     text = f"{repeated} of {sum(one.samples for one in each)} repeated, {out} outliers, noise {noise:.2f} mm"
-    return _finding("samples", "look" if out else "good", text)
+    jumps = [index for index, one in enumerate(each) if one.jump_mm]
+    if jumps:
+        listed, farthest = ", ".join(map(str, jumps)), max(one.jump_mm for one in each)
+        text += f"; up to {farthest:.0f} mm from one sample to the next, far faster than the rest, in {listed}"
+    return _finding("samples", "look" if out or jumps else "good", text)
 
 
 def _reach(each: Sequence[InspectedDemonstration], arm: str) -> Finding:

@@ -29,6 +29,9 @@ class InspectedDemonstration(ReportModel):
     idle_after_seconds: float = Field(description="idle time at the end")
     repeated: int = Field(description="samples that repeat the one before while the clock runs")
     outliers: int = Field(description="single samples far off their neighbours")
+    jump_mm: float = Field(
+        description="the longest step that is over five times as fast as nearly all others; 0 if there is none"
+    )
     noise_mm: float = Field(description="standard deviation of the sensor noise of positions")
     noise_deg: float = Field(description="the same of orientations")
     largest_gap: float = Field(description="longest time step, in median time steps")

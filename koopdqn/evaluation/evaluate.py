@@ -189,11 +189,13 @@ def _holdout(
     The held-out demonstrations are moved with the goal, by ``moved`` (3,) [m].
     """
     task, away = workcell.task, np.concatenate([moved, np.zeros(4)])
-    entered = [workcell.reachability.enter(path[0] + away) for path in held_out]
+    # An episode that began turned otherwise than what is held would have broken the rule already.
+    begun = task.as_held(np.array([path[0] for path in held_out]))
+    entered = [workcell.reachability.enter(start + away) for start in begun]
     ready = [index for index, motion in enumerate(entered) if motion.joints is not None]
-    starts = np.array([held_out[index][0] for index in ready]).reshape(-1, 7)
+    starts = begun[ready]
     joints = np.array([entered[index].joints for index in ready]).reshape(-1, len(workcell.arm.joint_names))
-    hausdorff: dict[str, list[float]] = {}
+    hausdorff: dict[str, list[float | None]] = {}
 
     def measured(name: str, made: list[Episode]) -> tuple[MethodReport, list[Episode]]:
         # An arm that cannot take the start has failed before its first step.
@@ -201,10 +203,13 @@ def _holdout(
         episodes = [
             made[ready.index(index)]
             if index in ready
-            else Episode(path[:1], home, entered[index].reason, entered[index].detail)
-            for index, path in enumerate(held_out)
+            else Episode(begun[index : index + 1], home, entered[index].reason, entered[index].detail)
+            for index in range(len(held_out))
         ]
-        hausdorff[name] = [hausdorff_mm(episode.poses, path) for episode, path in zip(episodes, held_out, strict=True)]
+        hausdorff[name] = [
+            hausdorff_mm(episode.poses, path) if episode.steps else None
+            for episode, path in zip(episodes, held_out, strict=True)
+        ]
         return _measured(workcell, reward, episodes, held_out), episodes
 
     goals = np.tile(moved, (len(starts), 1))

@@ -196,9 +196,9 @@ class HoldoutReport(ReportModel):
 
     demonstrations: Count = Field(description="number H of held-out demonstrations, one episode from the start of each")
     outcomes: list[Name] = Field(description='(H,) what became of each episode: "success" or the cause of its failure')
-    hausdorff_mm: dict[str, list[NonNegative]] = Field(
+    hausdorff_mm: dict[str, list[NonNegative | None]] = Field(
         description="by method, the policy first: (H,) the farthest that any of the 200 points, evenly spaced, of an"
-        " episode's path or of its demonstration is from the other"
+        " episode's path or of its demonstration is from the other; null where the episode made no step"
     )
     end_gap_mm: list[NonNegative] = Field(
         description="(H,) distance of each demonstration's own end from the task's goal, the mean of those learned from"

@@ -119,6 +119,12 @@ class Task(TaskChoice):
     def orientation(self) -> Literal["held", "learned"]:
         """Whether orientation is held throughout or is part of what is learned."""
 
+    def as_held(self, poses: Array) -> Array:
+        """Return poses (N, 7) with the goal's orientation throughout, unless the turn is learned."""
+        if self.orientation == "learned":
+            return poses
+        return pose.make(poses[:, pose.POSITION], self.goal[pose.QUATERNION])
+
     @property
     def turns_in_full(self) -> bool:
         """Whether turns about any axis are learned, as continuous actions make them, not those to the goal alone."""

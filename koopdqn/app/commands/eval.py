@@ -190,8 +190,8 @@ def holdout_table(report: dict[str, Any]) -> "Table":
     holdout, rows = report["holdout"], {}
     for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
         success, deviation, _, failures = _cells(method)
-        apart = np.array(holdout["hausdorff_mm"][name])
-        far = f"{np.median(apart):.1f} / {apart.max():.1f}"
+        apart = [value for value in holdout["hausdorff_mm"][name] if value is not None]
+        far = f"{np.median(apart):.1f} / {max(apart):.1f}" if apart else "–"
         rows[name] = [success, far, deviation.removesuffix(" mm"), failures]
     return _methods(
         ("method", "success", "Hausdorff", "deviation", "failures"),

@@ -12,7 +12,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described, read_artifact, reading
-from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
@@ -78,7 +78,7 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
         _check_kept(kept, read, sources)
     for line in derived.notes:
         console.note(f"task {recipe.name}: {line}")
-    _check_followed(config, derived.task)
+    _check_followed(config, derived)
     if keep and kept is not None and not kept.exists():
         write_hdf5(kept, read)
     return replace(config, derived=derived)
@@ -94,12 +94,20 @@ def _placed(
 ) -> tuple[Demonstrations, Derived]:
     """Return demonstrations moved to where the arm can follow them, and the task made from them."""
     task = derived.task
-    aside = agent_steps(replace(derived.training, items=derived.held_out), task) if derived.held_out else []
-    moved = find_placement(_arm_in(config, task), [*task.trajectories, *aside]).moved(read)
+    moved = find_placement(_arm_in(config, task), [*task.trajectories, *_held_out_as_task(derived)]).moved(read)
     return moved, recipe.derive(moved, continuous=config.agent.continuous)
 
 
-def _check_followed(config: Configuration, task: DemonstratedTask) -> None:
+def _held_out_as_task(derived: Derived) -> list[Array]:
+    """Return the held-out demonstrations, poses (N, 7) at the agent's step, oriented as the task's own."""
+    if not derived.held_out:
+        return []
+    items = [Demonstration(item.times, derived.task.as_held(item.poses)) for item in derived.held_out]
+    return agent_steps(replace(derived.training, items=items), derived.task)
+
+
+def _check_followed(config: Configuration, derived: Derived) -> None:
+    task = derived.task
     reachability = _arm_in(config, task)
     for index, poses in enumerate(task.trajectories):
         blocked = blocked_at(reachability, poses)
@@ -107,6 +115,13 @@ def _check_followed(config: Configuration, task: DemonstratedTask) -> None:
             raise BadInputError(
                 f"demos: the arm must be able to follow every demonstration, found demonstration {index} stopped after"
                 f" {blocked}; demos.place=auto moves all of them to where it can"
+            )
+    for index, poses in enumerate(_held_out_as_task(derived), len(task.trajectories)):
+        blocked = blocked_at(reachability, poses)
+        if blocked:
+            console.note(
+                f"task {task.name}: the arm cannot follow demonstration {index}, kept for evaluation, stopped after"
+                f" {blocked}"
             )
 
 

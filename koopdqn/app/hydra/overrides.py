@@ -79,8 +79,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - ``obstacles=FILE`` becomes ``task.obstacles=`` with what the file holds.
     - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``;
       ``window=`` of ``view`` and ``start=``, ``step=`` and ``pose=`` of ``explain`` are their own in the same way.
-    - Values of the `PATH_KEYS` are quoted when they hold characters of Hydra's grammar (a space, a
-      bracket) or read as a number, and a leading ``~`` is the home folder.
+    - Values of the `PATH_KEYS`, and the name of ``import.pose=``, are quoted when they hold characters of Hydra's
+      grammar (a space, a bracket) or read as a number, and a leading ``~`` is the home folder.
     - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
       after them; the run folder is DIR, whose record takes the new ones once the run has. The record is data
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps
@@ -276,7 +276,7 @@ def _prepare_one(command: str, override: str) -> str:
             " another"
         )
     name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
-    if name in PATH_KEYS and not (name in ("demos", "correct.waypoints") and _is_list(value)):
+    if name in (*PATH_KEYS, "import.pose") and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.layout import layout_of
+from koopdqn.demonstrations.recordings.layout import layout_of, listed
 from koopdqn.demonstrations.recordings.poses import PoseColumns
 from koopdqn.demonstrations.recordings.recording import Columns, Recording
 from koopdqn.errors import BadInputError
@@ -34,6 +34,8 @@ def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording 
     found = replace(stated, where=columns.where, rows=columns.lines, reasons=(*stated.reasons, *layout.reasons))
     pose = layout.pose
     parts = (*layout.time, *layout.joints, *layout.tool, *((*pose.position, *pose.turn) if pose else ()))
+    used = {*parts, layout.demo}
+    found = replace(found, unused=tuple(name for place, name in enumerate(columns.names) if place not in used))
     needed = tuple(dict.fromkeys(parts))
     # All at once: to read text takes longer than what follows.
     numbers = columns.numbers(needed)
@@ -42,7 +44,7 @@ def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording 
         return numbers[:, [needed.index(place) for place in places]]
 
     if pose is not None:
-        found = _with_pose(pose, taken, found)
+        found = replace(_with_pose(pose, taken, found), other=_other(pose, columns))
     if layout.joints:
         found = replace(found, joints=taken(layout.joints))
         if layout.pose is None:
@@ -71,6 +73,19 @@ def _with_pose(pose: PoseColumns, taken: Callable[[tuple[int, ...]], Array], fou
         order=pose.order or found.order,
         angles=pose.angles or found.angles,
     )
+
+
+def _other(pose: PoseColumns, columns: Columns) -> Recording | None:
+    """Return the orientation that is not read, if there are two; None where its cells are no numbers."""
+    other = pose.other
+    if other is None:
+        return None
+    where = " and ".join(listed(columns.names, places) for places in (pose.turn, other.turn))
+    try:
+        turn = columns.numbers(other.turn)
+    except BadInputError:
+        return None
+    return Recording(where, turn=turn, rotation=other.rotation, order=other.order, angles=other.angles)
 
 
 def _tool(values: Array) -> Array:
@@ -107,6 +122,7 @@ def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
         rows=lines,
         position=_taken(whole.position, taken),
         turn=_taken(whole.turn, taken),
+        other=None if whole.other is None else replace(whole.other, turn=_taken(whole.other.turn, taken)),
         joints=_taken(whole.joints, taken),
         times=_taken(whole.times, taken),
         tool=whole.tool if whole.tool is None or whole.tool.ndim == 1 else whole.tool[taken],

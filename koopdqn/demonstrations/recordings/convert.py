@@ -1,6 +1,6 @@
 """Recordings to demonstrations: the one place where units, orders, clocks and frames are settled, or asked for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -18,13 +18,15 @@ from koopdqn.settings import FARTHEST_M
 # No rotation vector and no angle in radians is larger.
 _LARGEST_RAD: Final = 2.0 * np.pi + 0.1
 _LENGTH_TOLERANCE: Final = 0.01
-# A clock whose typical tick is longer counts something else than seconds.
+# A clock whose typical tick is as long or longer counts something else than seconds: whole ones may be milliseconds.
 _LONGEST_TICK_S: Final = 1.0
 # Seconds since 1970 between 2001 and 2100: a clock that counts them shows its unit.
 _EPOCH_S: Final = (1e9, 4.1e9)
 # A turn counts as so much of path where the path is the clock [m/rad].
 _TURN_LENGTH: Final = 0.1
 _MATRIX_TOLERANCE: Final = 0.01
+# Two orientations of one pose are the same within this [°].
+_SAME_TURN_DEG: Final = 1.0
 # The measured pose lies this still in the flange that joints give [m, rad], if it is a tool on this arm.
 _SAME_ARM: Final = (0.001, 0.01)
 
@@ -67,6 +69,7 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
             asked.append(str(error))
         try:
             quaternion = _quaternion(recording, declared, reasons)
+            _check_other(recording, declared, quaternion)
         except AskError as error:
             asked.append(str(error))
         _check_asked(recording, declared, asked)
@@ -154,7 +157,10 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     count = len(_origin(recording))
     if recording.turn is None:
         if declared.orientation is None:
-            raise _ask(recording, "orientation", "a quaternion [w,x,y,z] for all poses, as only positions are recorded")
+            rule = "a quaternion [w,x,y,z] for all poses, as only positions are recognised"
+            if recording.unused:
+                rule += f"; import.columns names it if it is among {', '.join(recording.unused[:20])}"
+            raise _ask(recording, "orientation", rule)
         reasons.append("orientation as import.orientation declares")
         return np.broadcast_to(pose.normalized(declared.orientation), (count, 4)).copy()
     turn = recording.turn
@@ -191,6 +197,25 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     if np.abs(radians).max(initial=0.0) > 2.0 * _LARGEST_RAD:
         raise BadInputError(f"demos {recording.where}: angles must turn at most twice around, found {largest:g}")
     return pose.from_rotation_vector(radians) if rotation == "vector" else pose.from_roll_pitch_yaw(radians)
+
+
+def _check_other(recording: Recording, declared: ImportSettings, quaternion: Array) -> None:
+    """Raise BadInputError if another orientation of the same poses is known and tells otherwise in most rows."""
+    other = recording.other
+    if other is None or other.turn is None:
+        return
+    if other.angles is None and np.abs(other.turn).max(initial=0.0) > _LARGEST_RAD:
+        other = replace(other, angles="deg")
+    try:
+        found = _quaternion(replace(other, position=recording.position), declared, [])
+    except AskError:
+        return
+    apart = float(np.degrees(np.median(pose.angle_of(pose.multiply(quaternion, pose.conjugate(found))))))
+    if apart > _SAME_TURN_DEG:
+        raise BadInputError(
+            f"demos {recording.where}: the orientations of {other.where} must agree within {_SAME_TURN_DEG:g}°, found"
+            f" them {apart:.1f}° apart; import.columns={{x: NAME, …}} names the one to read"
+        )
 
 
 def _ordered(recording: Recording, declared: ImportSettings, reasons: list[str]) -> Array:
@@ -325,8 +350,9 @@ def _seconds(recording: Recording, declared: ImportSettings, reasons: list[str])
     if clock is None:
         steps = np.diff(ticks)
         tick = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        if tick > _LONGEST_TICK_S:
-            raise _ask(recording, "clock", f"s, ms, us or ns, as {tick:g} s from row to row are too long")
+        if tick >= _LONGEST_TICK_S:
+            rule = f"s, ms, us or ns, as {tick:g} s from row to row are too long to be taken for seconds"
+            raise _ask(recording, "clock", rule)
         reasons.append(f"time in s, as a row takes {1e3 * tick:.3g} ms")
         clock = "s"
     if epoch is None and clock == "s":

@@ -8,6 +8,7 @@ from koopdqn.demonstrations.recordings.declared import Angles, Clock, ImportSett
 from koopdqn.demonstrations.recordings.names import (
     ANGLES,
     AXES,
+    KUKA,
     QUATERNION,
     VECTOR,
     Name,
@@ -102,11 +103,11 @@ def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Lay
         _check_single(where, names, used)
     reasons = list(why_pose)
     if pose is not None:
-        reasons.append(f"position from {_listed(names, pose.position)}")
+        reasons.append(f"position from {listed(names, pose.position)}")
         if pose.turn:
-            reasons.append(f"orientation from {_listed(names, pose.turn)}")
+            reasons.append(f"orientation from {listed(names, pose.turn)}")
     elif joints:
-        reasons.append(f"joints from {_listed(names, joints)}")
+        reasons.append(f"joints from {listed(names, joints)}")
     reasons += why_time + ([f"demonstrations by column {names[demo]}"] if demo is not None else [])
     return Layout(pose, time, clock, demo, joints, angle_unit([known[i] for i in joints]), tool, tuple(reasons))
 
@@ -140,7 +141,7 @@ def _check_single(where: str, names: Sequence[str], used: Sequence[int]) -> None
 
 
 def _is_pose_part(name: Name) -> bool:
-    return name.leaf in (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES) or name.leaf.isdecimal()
+    return name.leaf in (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES, *KUKA) or name.leaf.isdecimal()
 
 
 def _without_twins(names: Sequence[str]) -> Iterator[str]:
@@ -160,7 +161,8 @@ def _is_demo(name: Name) -> bool:
     return any(whole in (word, f"{word}_index", f"{word}_id") for word in _DEMOS)
 
 
-def _listed(names: Sequence[str], places: Iterable[int]) -> str:
+def listed(names: Sequence[str], places: Iterable[int]) -> str:
+    """Return the names of columns at some places, of more than four the first and the last."""
     shown = [names[place] for place in places]
     return f"{shown[0]} … {shown[-1]}" if len(shown) > 4 else " ".join(shown)
 
@@ -171,7 +173,7 @@ def _time_of(names: Sequence[str], known: Sequence[Name]) -> tuple[tuple[int, ..
     found = [i for i, name in enumerate(known) if name.leaf in _TIMES and not set(name.words) & OTHER]
     pair = _whole_and_rest(known)
     if pair and ("stamp" in _spelled(known[pair[0]]) or set(found) <= set(pair)):
-        return pair, "s", [f"time from {_listed(names, pair)}"]
+        return pair, "s", [f"time from {listed(names, pair)}"]
     found.sort(key=lambda i: (known[i].leaf != "stamp", len(known[i].words), _TIMES.index(known[i].leaf)))
     if not found:
         return (), None, []

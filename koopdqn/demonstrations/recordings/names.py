@@ -32,6 +32,8 @@ _WORDS: Final = re.compile(
 QUATERNION: Final = ("qw", "qx", "qy", "qz")
 VECTOR: Final = ("rx", "ry", "rz")
 ANGLES: Final = ("roll", "pitch", "yaw")
+# KUKA turns by A about z, by B about the new y, by C about the newest x: by C, B, A about fixed x, y, z, in degrees.
+KUKA: Final = ("c", "b", "a")
 AXES: Final = ("x", "y", "z")
 _LEAVES: Final = (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES)
 # Other spellings of a last word: what it stands for.

@@ -1,11 +1,20 @@
 """The poses that column names show: positions and orientations of one prefix each."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from koopdqn.demonstrations.recordings.declared import Angles, QuaternionOrder, Units
-from koopdqn.demonstrations.recordings.names import ANGLES, AXES, QUATERNION, VECTOR, Name, angle_unit, length_unit
+from koopdqn.demonstrations.recordings.names import (
+    ANGLES,
+    AXES,
+    KUKA,
+    QUATERNION,
+    VECTOR,
+    Name,
+    angle_unit,
+    length_unit,
+)
 from koopdqn.demonstrations.recordings.recording import RowRotation
 
 
@@ -23,7 +32,7 @@ JOINT_WORDS: Final = _words("q j joint joints jnt qpos")
 _POSITION: Final = _words("pos position translation trans xyz p")
 _QUATERNION: Final = _words("orientation orient ori quat quaternion rotation rot q")
 _VECTOR: Final = _words("rotvec rotvector axisangle aa")
-_ANGLES: Final = _words("rpy euler")
+_ANGLES: Final = _words("rpy euler theta")
 _TURN: Final = _QUATERNION | _VECTOR | _ANGLES | _words("vec vector axis angle angles")
 _POSE: Final = _words("pose tcp eef ee tool flange cartesian transform tf matrix")
 
@@ -34,6 +43,7 @@ class PoseColumns:
 
     Attributes:
         name: what stands before the columns' names.
+        other: another orientation of the same pose, if there are two.
     """
 
     name: str
@@ -43,6 +53,7 @@ class PoseColumns:
     order: QuaternionOrder | None = None
     units: Units | None = None
     angles: Angles | None = None
+    other: "PoseColumns | None" = None
 
     @property
     def words(self) -> frozenset[str]:
@@ -82,7 +93,7 @@ def poses_of(known: Sequence[Name]) -> list[PoseColumns]:
         turns = {next(iter(positions)): next(iter(turns.values()))}
     for owner, found in positions.items():
         turn = turns.get(owner, PoseColumns(owner))
-        whole.append(PoseColumns(owner, found.position, turn.turn, turn.rotation, turn.order, found.units, turn.angles))
+        whole.append(replace(turn, name=owner, position=found.position, units=found.units))
     return whole
 
 
@@ -97,19 +108,25 @@ def _lettered(
     positions: dict[str, PoseColumns],
     turns: dict[str, PoseColumns],
 ) -> None:
-    """Add what columns x y z, w x y z, qw qx qy qz, rx ry rz or roll pitch yaw of one prefix are."""
+    """Add what columns x y z, w x y z, qw qx qy qz, rx ry rz, roll pitch yaw or KUKA's A B C of one prefix are."""
     turned = bool(set(words) & _TURN)
     owner = _owner(words, _TURN if turned else _POSITION)
-    for names, rotation in ((QUATERNION, "quaternion"), (VECTOR, "vector"), (ANGLES, "angles")):
-        if all(leaf in leaves for leaf in names) and owner not in turns:
-            own = _owner(words, _TURN | _POSITION)
-            turns[own] = _turn(own, [leaves[leaf] for leaf in names], rotation, known)
+    for names, rotation in ((QUATERNION, "quaternion"), (VECTOR, "vector"), (ANGLES, "angles"), (KUKA, "angles")):
+        if not all(leaf in leaves for leaf in names):
+            continue
+        own = _owner(words, _TURN | _POSITION)
+        found = _turn(own, [leaves[leaf] for leaf in names], rotation, known)
+        if names == KUKA:
+            found = replace(found, angles=found.angles or "deg")
+        turns[own] = replace(turns[owner], other=found) if owner in turns else found
     if not all(leaf in leaves for leaf in AXES):
         return
     if turned and "w" in leaves:
-        turns[owner] = _turn(owner, [leaves[leaf] for leaf in ("w", *AXES)], "quaternion", known)
+        found = _turn(owner, [leaves[leaf] for leaf in ("w", *AXES)], "quaternion", known)
+        turns[owner] = replace(found, other=turns.get(owner))
     elif turned:
-        turns[owner] = _turn(owner, [leaves[leaf] for leaf in AXES], _three(words), known)
+        found = _turn(owner, [leaves[leaf] for leaf in AXES], _three(words), known)
+        turns[owner] = replace(found, other=turns.get(owner))
     else:
         places = tuple(leaves[leaf] for leaf in AXES)
         positions[owner] = PoseColumns(owner, places, units=_unit(places, known))
@@ -153,9 +170,12 @@ def _counted(
     elif count == 3 and found & _POSITION and not found & _TURN:
         positions[_owner(words, _POSITION)] = PoseColumns(name, places, units=_unit(places, known))
     elif count == 4 and found & _QUATERNION:
-        turns[_owner(words, _TURN)] = PoseColumns(name, (), places, "quaternion")
+        owner = _owner(words, _TURN)
+        turns[owner] = PoseColumns(name, (), places, "quaternion", other=turns.get(owner))
     elif count == 3 and found & _TURN:
         owner = _owner(words, _TURN)
-        turns[owner] = PoseColumns(name, (), places, _three(words), angles=angle_unit([known[i] for i in places]))
+        angles = angle_unit([known[i] for i in places])
+        turns[owner] = PoseColumns(name, (), places, _three(words), angles=angles, other=turns.get(owner))
     elif count == 9 and found & _TURN:
-        turns[_owner(words, _TURN)] = PoseColumns(name, (), places, "matrix")
+        owner = _owner(words, _TURN)
+        turns[owner] = PoseColumns(name, (), places, "matrix", other=turns.get(owner))

@@ -30,6 +30,8 @@ class Recording:
         tool: pose (7,) of the recorded point in the flange, where the file says it, or (N, 7) where that changes.
         rows: (N,) what to call each row in messages; counted from 0 if None.
         frame: the frame's name, or an empty text.
+        other: another orientation of the same poses, which must agree; ``where`` names both.
+        unused: names of columns that were taken for nothing.
         reasons: why it was read so, a line each.
     """
 
@@ -47,6 +49,8 @@ class Recording:
     tool: Array | None = None
     rows: np.ndarray | None = None
     frame: str = ""
+    other: "Recording | None" = None
+    unused: tuple[str, ...] = ()
     reasons: tuple[str, ...] = field(default=())
 
     def row(self, index: int) -> str:

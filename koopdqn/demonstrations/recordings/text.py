@@ -166,9 +166,10 @@ def _rows(path: Path, every: list[str], kept: list[int], rows: list[int], encodi
     if encoding == _WESTERN:
         why += ", in Windows-1252, as it is not UTF-8"
     counts = _counts([every[row] for row in rows], delimiter)
-    if len(rows) > 1 and counts[-1] < width:
+    # Where too little would be left, that the row is short is what must be said.
+    if len(rows) > 2 and counts[-1] < width:
+        why += f", line {rows[-1] + 1}, the last, cut off and left out"
         rows, counts = rows[:-1], counts[:-1]
-        why += ", the last line cut off and left out"
     for index in np.flatnonzero(counts != width).tolist():
         cells = _split(every[rows[index]], delimiter)
         # Some loggers end every row with a delimiter.
