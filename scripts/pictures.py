@@ -19,6 +19,11 @@ from typing import Any, Final
 
 import PIL.Image
 from benchmarks.learning import prepare
+from matplotlib.font_manager import findfont
+from PIL import ImageDraw, ImageFont
+from rich.color_triplet import ColorTriplet
+from rich.style import Style
+from rich.text import Text
 
 import koopdqn
 from koopdqn import console
@@ -26,6 +31,10 @@ from koopdqn.app import cli
 from koopdqn.console import LiteralConsole
 from koopdqn.errors import WorkFailedError
 from koopdqn.files import write_text
+from koopdqn.oracles.base import Answer, Oracle, Question
+from koopdqn.oracles.terminal.graphics import PICTURE_SIZE, block_lines
+from koopdqn.oracles.terminal.picture import SituationCamera
+from koopdqn.oracles.terminal.screen import Shown, compose, region
 from koopdqn.plots.style import DEMONSTRATED, picture, rgba, show_image
 from koopdqn.plots.workflow import plot_workflow
 from koopdqn.pose import POSITION
@@ -41,6 +50,12 @@ SIZES: Final = ((80, 24), (140, 40))
 ARMS: Final = ("ur3", "ur5", "ur10", "ur3e", "ur5e", "ur10e", "ur16e")
 ARM_SIZE: Final = (720, 640)
 """Width and height of an arm's picture [pixels]."""
+_QUESTION: Final = 5
+_SCREEN: Final = (120, 40)
+_CELL: Final = (9, 18)
+"""Columns and rows of the terminal that asks, and the pixels of a character."""
+_INK: Final = ColorTriplet(204, 204, 204)
+_GROUND: Final = ColorTriplet(16, 16, 16)
 MOST_BYTES: Final = 2_000_000
 _FETCHED: Final = re.compile(r"@font-face \{.*?\}", re.DOTALL)
 _CHROMIUM: Final = ("chromium", "chromium-browser", "google-chrome")
@@ -107,6 +122,61 @@ def dashboard(runs: Runs) -> None:
                 write_text(IMAGES / f"dashboard-{page.width}x{page.height}.svg", text)
 
     trainer.run(on_check)
+
+
+def question(runs: Runs) -> None:
+    """Draw a question of a training as it stands on a terminal."""
+    config = koopdqn.load_config("task=shelf", "seed=0")
+    demonstrations = koopdqn.generate(config)
+    cell, asked = koopdqn.open_workcell(config), _Asked()
+    asked.scripted = config.oracle.open(cell, config.inputs.seed, runs.folder)
+    koopdqn.train(config, demonstrations, koopdqn.fit(config, demonstrations), asked)
+    shown, (width, height) = asked.questions[_QUESTION], _SCREEN
+    place = region(width, height, pictures=True)
+    with contextlib.closing(SituationCamera(cell, PICTURE_SIZE["blocks"])) as camera:
+        found = camera.picture(shown)
+    lines = block_lines(found.image, place.width, place.rows, found.marks, colour=True)
+    content = Shown(cell.task, "anna", shown, "Answered: right", lines, found.times)
+    _terminal(compose(content, width, height, pictures=True), width).save(IMAGES / "feedback.png", optimize=True)
+
+
+class _Asked(Oracle):
+    """The scripted oracle, whose questions are kept."""
+
+    scripted: Oracle
+
+    def __init__(self) -> None:
+        self.questions: list[Question] = []
+
+    def answer(self, question: Question) -> Answer:
+        """Return the script's answer."""
+        self.questions.append(question)
+        return self.scripted.answer(question)
+
+
+def _terminal(lines: list[Text], width: int) -> PIL.Image.Image:
+    """Return lines of text as a terminal of black ground shows them."""
+    font = ImageFont.truetype(findfont("DejaVu Sans Mono"), 15)
+    image = PIL.Image.new("RGB", (width * _CELL[0], len(lines) * _CELL[1]), _GROUND)
+    pen = ImageDraw.Draw(image)
+    terminal = LiteralConsole(file=io.StringIO(), force_terminal=True, color_system="truecolor", width=width)
+    for row, line in enumerate(lines):
+        column = 0
+        for segment in terminal.render(line, terminal.options.update(width=width, no_wrap=True)):
+            style = segment.style or Style()
+            ink = _INK if style.color is None else style.color.get_truecolor()
+            ground = _GROUND if style.bgcolor is None else style.bgcolor.get_truecolor()
+            if style.reverse:
+                ink, ground = ground, ink
+            for character in segment.text.rstrip("\n"):
+                x, y = column * _CELL[0], row * _CELL[1]
+                pen.rectangle((x, y, x + _CELL[0] - 1, y + _CELL[1] - 1), ground)
+                if character == "▀":
+                    pen.rectangle((x, y, x + _CELL[0] - 1, y + _CELL[1] // 2 - 1), ink)
+                else:
+                    pen.text((x, y), character, ink, font, stroke_width=0.3 if style.bold else 0)
+                column += 1
+    return image
 
 
 def film(runs: Runs) -> None:
@@ -226,6 +296,7 @@ PICTURES: Final[dict[str, Callable[[Runs], None]]] = {
     each.__name__: each
     for each in (
         dashboard,
+        question,
         film,
         explain,
         demos,
