@@ -91,7 +91,7 @@ def compose(content: Shown, width: int, height: int) -> list[Text]:
     status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
     for line in status:
         line.truncate(width - 1, overflow="crop")
-    keys = [] if content.help else key_lines(KEYS, width)
+    keys = [] if content.help else key_lines(KEYS, width, height)
     across, down = width - _TEXT_WIDTH - GAP, height - 1 - len(keys) - len(status)
     if across < _LEAST_PICTURE[0] or down < 2 * _LEAST_PICTURE[1]:
         across = 0

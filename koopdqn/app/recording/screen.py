@@ -98,7 +98,7 @@ def compose(content: Shown, width: int, height: int, *, pictures: bool) -> list[
     place = region(width, height, pictures=pictures)
     # One short of the width: a character in the corner makes some terminals scroll.
     status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
-    keys = [] if content.help else key_lines(KEYS, width)
+    keys = [] if content.help else key_lines(KEYS, width, height)
     room = height - 1 - len(keys) - len(status)
     if content.help:
         body = help_body(HELP, width, room)

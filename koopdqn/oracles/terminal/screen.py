@@ -135,7 +135,7 @@ def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Te
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
     question, named = shown.question, "0-9 m" if suggests(shown.question) else "0-9"
-    keys = key_lines((f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS), width)
+    keys = key_lines((f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS), width, height)
     if shown.help:
         keys = []
     room = height - 2 - len(keys)
@@ -165,8 +165,8 @@ def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text],
     return [*lines, *status]
 
 
-def key_lines(keys: Sequence[str], width: int) -> list[str]:
-    """Return lines that tell of keys, broken between two of them where they are too long."""
+def key_lines(keys: Sequence[str], width: int, height: int) -> list[str]:
+    """Return lines that tell of keys, broken between two of them where they are too long; half a screen at most."""
     if all(len(line) <= width for line in keys):
         return list(keys)
     lines: list[str] = []
@@ -175,7 +175,7 @@ def key_lines(keys: Sequence[str], width: int) -> list[str]:
             lines[-1] += f"  {key}"
         else:
             lines.append(key)
-    return lines
+    return lines[: height // 2]
 
 
 def help_body(lines: Sequence[str], width: int, room: int) -> list[Text]:
