@@ -118,7 +118,7 @@ def test_ctrl_z_gives_the_screen_back_until_it_comes_back(monkeypatch: pytest.Mo
     with Dashboard(trained, taught().trajectories, None, terminal()) as board:
         live = board._live
         assert live is not None
-        monkeypatch.setattr(module.os, "kill", lambda process, number: stopped.append(live.is_started))
+        monkeypatch.setattr("os.kill", lambda process, number: stopped.append(live.is_started))
         signal.raise_signal(signal.SIGTSTP)
         assert not stopped
         board.round()
