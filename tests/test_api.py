@@ -152,7 +152,11 @@ def test_arguments_of_another_class_are_named(small: Made, tmp_path: Path) -> No
         "config: must be a .*Configuration, found 'task=shelf'": (koopdqn.generate, "task=shelf"),
         "demonstrations: must be a .*Demonstrations, found \\[3\\]": (koopdqn.fit, config, [3]),
         "config: must be a .*Configuration, found Demonstrations": (koopdqn.fit, demonstrations, config),
-        "fitted: must be a koopdqn.intent.fit.Fitted, found": (koopdqn.intent_reward, config, fitted.model),
+        "fitted: must be a koopdqn.intent.fit.Fitted or koopdqn": (
+            koopdqn.intent_reward,
+            config,
+            fitted.model,
+        ),
         "demonstrations: must be a .*Demonstrations, found Fitted": (koopdqn.train, config, fitted, demonstrations),
         "trained: must be a koopdqn.app.api.Trained, found None": (
             *(koopdqn.evaluate, config, demonstrations, fitted, None),

@@ -88,25 +88,6 @@ def test_an_odd_one_is_said_to_be_odd() -> None:
     assert not any("the trust domain reaches" in note for note in three().notes)
 
 
-@pytest.mark.parametrize("spike", [[0.2, 0.0, 0.0], [-0.45, 0.1, -0.5]])
-def test_a_bad_sample_bends_nothing_and_is_told(spike: list[float]) -> None:
-    recipe = RECIPE.model_copy(update={"holdout": 0})
-    poses = arc()
-    poses[60, :3] += spike
-    plain, spiked = recipe.derive(shown(recorded(arc()))), recipe.derive(shown(recorded(poses)))
-    assert any("far off their neighbours left out: 1, in demonstrations 0" in note for note in spiked.notes)
-    assert not any("far off" in note for note in plain.notes)
-    apart = spiked.training.items[0].poses[:, None, :3] - plain.training.items[0].poses[None, :, :3]
-    assert np.linalg.norm(apart, axis=2).min(axis=1).max() < 0.0005
-
-
-def test_what_is_clean_is_learned_to_the_byte_as_without_a_sieve(monkeypatch: pytest.MonkeyPatch) -> None:
-    items = [recorded(arc(0.01 * index), idle=20, noise=0.0005, seed=index) for index in range(3)]
-    sieved = RECIPE.derive(shown(*items)).training.digest()
-    monkeypatch.setattr("koopdqn.demonstrations.derivation.without_outliers", lambda item: item)
-    assert RECIPE.derive(shown(*items)).training.digest() == sieved
-
-
 def test_two_ways_are_told() -> None:
     items = []
     for index in range(5):

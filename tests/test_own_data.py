@@ -2,13 +2,16 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers_shown import arc, recorded
 
+from koopdqn import load_config
 from koopdqn.app import cli
+from koopdqn.demonstrations.cleaning import without_outliers
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.recordings.declared import NOTHING
@@ -113,6 +116,37 @@ def test_what_was_declared_of_files_is_not_said_of_the_runs_own_copy(logs: Path,
     assert cli.main(["train", "task=demonstrated", *declared, "out=run", *short]) in (0, 1)
     assert printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")["episodes"] == 2
     assert cli.main(["train", "run=run", "train.max_steps=4000"]) in (0, 1)
+
+
+@pytest.mark.parametrize("spike", [[0.2, 0.0, 0.0], [-0.45, 0.1, -0.5]])
+def test_a_bad_sample_bends_nothing_and_is_told(
+    logs: Path, spike: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    clean = recorded(arc())
+    poses = clean.poses.copy()
+    poses[60, :3] += spike
+    write_csv(logs / "plain.csv", [clean])
+    write_csv(logs / "spiked.csv", [replace(clean, poses=poses)])
+    plain, spiked = (
+        load_config("task=demonstrated", f"demos={logs}/{name}.csv").derived for name in ("plain", "spiked")
+    )
+    assert plain is not None
+    assert spiked is not None
+    assert capsys.readouterr().err.count("far off their neighbours left out: 1, in demonstrations 0") == 1
+    apart = spiked.training.items[0].poses[:, None, :3] - plain.training.items[0].poses[None, :, :3]
+    assert np.linalg.norm(apart, axis=2).min(axis=1).max() < 0.0005
+    noisy = recorded(arc(), idle=20, noise=0.0005)
+    assert without_outliers(noisy).poses.tobytes() == noisy.poses.tobytes()
+
+
+def test_a_run_keeps_the_samples_that_it_was_made_from(
+    logs: Path, printed: Printed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
+    assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)
+    fewer = "koopdqn.app.commands.pipeline.without_outliers"
+    monkeypatch.setattr(fewer, lambda item: replace(item, times=item.times[:-9], poses=item.poses[:-9]))
+    assert printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")["episodes"] == 2
 
 
 def test_a_run_whose_task_is_made_otherwise_today_is_evaluated_with_its_own(

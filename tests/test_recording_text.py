@@ -25,6 +25,7 @@ from recording_files import (
 )
 
 from koopdqn import pose
+from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
 from koopdqn.demonstrations.recordings.names import parsed
 from koopdqn.errors import BadInputError
@@ -153,7 +154,6 @@ def test_declared_order_of_columns(tmp_path: Path) -> None:
         ("t x y z tilt pan spin", (TIMES, P, ANGLES), ("import.orientation", "import.columns", "tilt, pan, spin")),
         ("n pos_x pos_y pos_z qw qx qy qz", (TIMES, P, QUATERNION), ("import.rate_hz", "import.speed_m_s")),
         ("time pos_x pos_y pos_z qw qx qy qz", (1e3 * TIMES, P, QUATERNION), ("import.clock",)),
-        ("time pos_x pos_y pos_z qw qx qy qz", (HZ * TIMES, P, QUATERNION), ("import.clock",)),
         ("t a.x a.y a.z a.qw a.qx a.qy a.qz b.x b.y b.z b.qw b.qx b.qy b.qz", (TIMES, POSES, POSES), ("import.pose",)),
         ("t alpha beta gamma", (TIMES, P), ("import.columns",)),
         (None, (P, VECTOR), ("import.columns",)),
@@ -244,14 +244,14 @@ def test_a_last_line_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
     ("names", "other"),
     [("rx ry rz", VECTOR), ("roll pitch yaw", np.degrees(ANGLES)), ("rot_x rot_y rot_z rot_w", XYZW)],
 )
-def test_two_orientations_must_agree(tmp_path: Path, names: str, other: Array) -> None:
+def test_of_two_orientations_that_differ_one_is_read_and_told(tmp_path: Path, names: str, other: Array) -> None:
     header = f"t x y z qw qx qy qz {names}"
-    same(poses_in(written(tmp_path / "same.csv", header, TIMES, POSES, other))[0], POSES)
-    path = written(tmp_path / "otherwise.csv", header, TIMES, POSES, other[::-1])
-    with pytest.raises(BadInputError, match=r"orientations of .* must agree within 1°, found .*import\.columns"):
-        poses_in(path)
-    chosen = {role: role for role in ("t", *"xyz", "qw", "qx", "qy", "qz")}
-    same(poses_in(path, columns=chosen)[0], POSES)
+    for order, told in ((1, False), (-1, True)):
+        path = written(tmp_path / f"{order}.csv", header, TIMES, POSES, other[::order])
+        read = load(path, NOTHING, None)
+        if not told:
+            same(read.items[0].poses, POSES)
+        assert any("apart, and the first is read" in reason for reason in read.reasons) is told
 
 
 WORD = st.from_regex(r"[a-z]{2,6}", fullmatch=True)
@@ -345,3 +345,13 @@ def test_units_of_a_pose_that_is_not_read_may_be_mixed(tmp_path: Path) -> None:
     names = "t x y z qw qx qy qz target_x_mm target_y_mm target_z_m"
     path = written(tmp_path / "log.csv", names, TIMES, POSES, POSES[:, :3])
     same(load(path, declared({}), None).items[0].poses, POSES)
+
+
+def test_whole_seconds_are_taken_for_seconds_where_they_may_be(tmp_path: Path) -> None:
+    def ticking(count: int) -> Path:
+        rows = np.column_stack([np.arange(count), np.resize(POSES, (count, 7))])
+        return written(tmp_path / f"{count}.csv", "t x y z qw qx qy qz", rows)
+
+    assert load(ticking(60), NOTHING, None).items[0].times[-1] == 59.0
+    with pytest.raises(BadInputError, match=r"import\.clock: .* for 799 s"):
+        load(ticking(800), NOTHING, None)

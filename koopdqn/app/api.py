@@ -19,6 +19,7 @@ from koopdqn.evaluation.evaluate import evaluate as evaluate_policy
 from koopdqn.intent.fit import Fitted, agent_steps, check_shown
 from koopdqn.intent.fit import fit as fit_intent
 from koopdqn.intent.reward import IntentReward
+from koopdqn.intent.storage import StoredIntent
 from koopdqn.oracles.base import Oracle
 from koopdqn.settings import shown, typed
 from koopdqn.tasks.workcell import Workcell
@@ -133,7 +134,7 @@ def fit(config: Configuration, demonstrations: Demonstrations) -> Fitted:
 
 
 @typed
-def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
+def intent_reward(config: Configuration, fitted: Fitted | StoredIntent) -> IntentReward:
     """Return the reward function (Eqs. 15, 16) of a fitted intent, as if the task had no obstacles.
 
     Its ``evaluate_actions`` takes poses (N, 7), x y z [m] and a unit quaternion w first, their steps (N,) and the
@@ -152,7 +153,7 @@ def intent_reward(config: Configuration, fitted: Fitted) -> IntentReward:
 
 @typed
 def reward_around_obstacles(
-    config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted
+    config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted | StoredIntent
 ) -> IntentReward:
     """Return the reward function of a fitted intent, bent around obstacles of the task.
 
@@ -168,7 +169,7 @@ def reward_around_obstacles(
 def train(
     config: Configuration,
     demonstrations: Demonstrations,
-    fitted: Fitted,
+    fitted: Fitted | StoredIntent,
     oracle: Oracle | None = None,
     on_check: "Callable[[Check], None]" = lambda check: None,
 ) -> Trained:
@@ -211,7 +212,9 @@ def train(
 
 
 @typed
-def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitted, trained: Trained) -> Evaluation:
+def evaluate(
+    config: Configuration, demonstrations: Demonstrations, fitted: Fitted | StoredIntent, trained: Trained
+) -> Evaluation:
     """Return how a trained policy does from held-out starts, beside what comes without learning (``eval.json``).
 
     The units of the report's keys stand in docs/files.md. Each of the ``episodes`` holds the poses (T + 1, 7) and joint
@@ -248,7 +251,7 @@ def evaluate(config: Configuration, demonstrations: Demonstrations, fitted: Fitt
 def environment_parts(
     config: Configuration,
     demonstrations: Demonstrations,
-    fitted: Fitted,
+    fitted: Fitted | StoredIntent,
     oracle: Oracle | None = None,
     *,
     exploring_starts: bool = False,
@@ -290,7 +293,7 @@ def environment_parts(
 
 @typed
 def make_env(
-    config: Configuration, demonstrations: Demonstrations, fitted: Fitted, oracle: Oracle | None = None
+    config: Configuration, demonstrations: Demonstrations, fitted: Fitted | StoredIntent, oracle: Oracle | None = None
 ) -> "KoopmanEnvironment":
     """Return the environment that training uses, as dm_env knows it, for another learner.
 
@@ -313,7 +316,7 @@ def make_env(
     return KoopmanEnvironment(environment_parts(config, demonstrations, fitted, oracle), config.inputs.seed)
 
 
-def _check_intent(config: Configuration, fitted: Fitted) -> None:
+def _check_intent(config: Configuration, fitted: Fitted | StoredIntent) -> None:
     """Raise BadInputError if an intent leads elsewhere than to the task's goal, or turns otherwise."""
     goal, found = config.task.goal, fitted.model.goal
     if not np.allclose(goal, found, atol=1e-9):

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
-from koopdqn.demonstrations.cleaning import jump_of, without_outliers
+from koopdqn.demonstrations.cleaning import jump_of
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
 from koopdqn.demonstrations.inspection import compare
 from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
@@ -102,8 +102,7 @@ class Derivation(TaskChoice):
                 goal.
         """
         kept = self.kept_of(len(demonstrations))
-        clear = [without_outliers(item) for item in demonstrations.items]
-        cut = trim_idle_each(clear)
+        cut = trim_idle_each(demonstrations.items)
         smoothed = [smooth(each.item) for each in cut]
         learned, aside = smoothed[: len(smoothed) - kept], smoothed[len(smoothed) - kept :]
         goal = preprocess.goal_of(learned)
@@ -121,7 +120,7 @@ class Derivation(TaskChoice):
         task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
         notes = (
             _about_recordings(cut, smoothed, kept),
-            *_about_samples(demonstrations.items, clear),
+            *_about_jumps(demonstrations.items),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_about_turns_away(task),
@@ -236,12 +235,8 @@ def _about_recordings(cut: list[Trimmed], smoothed: list[Demonstration], kept: i
     )
 
 
-def _about_samples(recorded: Sequence[Demonstration], clear: Sequence[Demonstration]) -> Iterator[str]:
-    lost = [len(one) - len(rest) for one, rest in zip(recorded, clear, strict=True)]
-    if any(lost):
-        listed = ", ".join(str(index) for index, count in enumerate(lost) if count)
-        yield f"samples far off their neighbours left out: {sum(lost)}, in demonstrations {listed}"
-    for index, jump in enumerate(map(jump_of, clear)):
+def _about_jumps(items: Sequence[Demonstration]) -> Iterator[str]:
+    for index, jump in enumerate(map(jump_of, items)):
         if jump:
             yield (
                 f"demonstration {index} jumps by {jump * 1e3:.0f} mm from one sample to the next, far faster than the"

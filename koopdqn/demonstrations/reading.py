@@ -1,7 +1,7 @@
 """Demonstrations from whatever files the user names, one, several or a glob."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from koopdqn import console
@@ -25,7 +25,8 @@ def files_of(sources: Sources) -> list[Path]:
     found: list[Path] = []
     if isinstance(sources, str | Path):
         sources = (sources,)
-    if not isinstance(sources, Sequence) or not all(isinstance(each, str | Path) for each in sources):
+    sources = list(sources) if isinstance(sources, Iterable) else sources
+    if not isinstance(sources, list) or not all(isinstance(each, str | Path) for each in sources):
         raise BadInputError(f"demos: must be a path or a glob, or several, found {shown(sources)}")
     if not sources:
         raise BadInputError("demos: must name a file at least, found none")

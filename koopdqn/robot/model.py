@@ -14,6 +14,7 @@ from koopdqn.robot.chain import Chain
 _FREE: Final = 2.0 * np.pi
 """Range of a hinge without limits, to either side [rad]."""
 _FEWEST: Final = 6
+_ROUNDED: Final = 0.01
 
 
 class Model(NamedTuple):
@@ -26,6 +27,7 @@ class Model(NamedTuple):
         torques: (n,) largest [Nm] that their motors give; 0 where the file does not limit them.
         home: (n,) of the first keyframe, or the middle of every range [rad].
         sha256: of the file, or of it and of all that it includes and names.
+        file_sha256: of the file alone.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Model(NamedTuple):
     torques: tuple[float, ...]
     home: tuple[float, ...]
     sha256: str
+    file_sha256: str
 
 
 def read_model(path: Path, site: str) -> Model:
@@ -96,6 +99,9 @@ def _read(files: tuple[Path, ...], site: str, changed_ns: tuple[int, ...]) -> Mo
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = (np.where(limited, model.jnt_range[joints, side], sign * _FREE) for side, sign in ((0, -1), (1, 1)))
     home = model.key_qpos[0][address] if model.nkey else 0.5 * (lower + upper)
+    # A keyframe may be rounded otherwise than a range.
+    inside = np.clip(home, lower, upper)
+    home = np.where(np.abs(inside - home) < _ROUNDED, inside, home)
     return Model(
         _name(model, path),
         tuple(model.joint(joint).name for joint in joints),
@@ -103,6 +109,7 @@ def _read(files: tuple[Path, ...], site: str, changed_ns: tuple[int, ...]) -> Mo
         tuple(_torque(model, joint) for joint in joints),
         tuple(home.tolist()),
         _digest(files),
+        _digest(files[:1]),
     )
 
 

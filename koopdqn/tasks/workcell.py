@@ -1,6 +1,6 @@
 """The workcell: a task, the arm that does it, the scene it stands in, and which motions the arm can make there."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Final
@@ -259,11 +259,12 @@ def _check_methods(task: Task, step_seconds: float) -> None:
         raise _returns(task, "turned", f"return finite shares of shape {share.shape}", turned)
     path = task.waypoint_path.poses
     broken = task.rule_broken(path)
+    broken = np.asarray(broken) if isinstance(broken, list) else broken
     if not _is_array(broken, (len(path),), "b"):
         raise _returns(task, "rule_broken", f"return booleans of shape {(len(path),)}, one a pose", broken)
     measures = task.measures(path, step_seconds)
-    values = measures.values() if isinstance(measures, dict) else [None]
-    if not all(isinstance(each, int | float | np.number) for each in values):
+    values = measures.values() if isinstance(measures, Mapping) else [None]
+    if not all(_is_array(np.asarray(each), (), "biuf") for each in values):
         raise _returns(task, "measures", "return a dict of a number by each name", measures)
 
 

@@ -12,6 +12,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described, read_artifact, reading
+from koopdqn.demonstrations.cleaning import without_outliers
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
@@ -68,6 +69,9 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
             ", found none"
         )
     read = read_demonstrations(sources, recipe.name, config.robot, any_task=True, declared=_declared(config))
+    if config.inputs.demos:
+        # Not in a run's own copy: what it was made from must stay what it is.
+        read = _sound(recipe, read)
     read = replace(read, held_out=recipe.kept_of(len(read)))
     derived = recipe.derive(read, continuous=config.agent.continuous)
     if recipe.place == "auto" and read.placement is None:
@@ -82,6 +86,18 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
     if keep and kept is not None and not kept.exists():
         write_hdf5(kept, read)
     return replace(config, derived=derived)
+
+
+def _sound(recipe: Derivation, read: Demonstrations) -> Demonstrations:
+    """Return demonstrations without samples that are certainly bad, and say how many there were."""
+    sound = [without_outliers(item) for item in read.items]
+    lost = [len(one) - len(rest) for one, rest in zip(read.items, sound, strict=True)]
+    if any(lost):
+        listed = ", ".join(str(index) for index, count in enumerate(lost) if count)
+        console.note(
+            f"task {recipe.name}: samples far off their neighbours left out: {sum(lost)}, in demonstrations {listed}"
+        )
+    return replace(read, items=sound)
 
 
 def _declared(config: Configuration) -> ImportSettings:

@@ -18,8 +18,9 @@ from koopdqn.settings import FARTHEST_M
 # No rotation vector and no angle in radians is larger.
 _LARGEST_RAD: Final = 2.0 * np.pi + 0.1
 _LENGTH_TOLERANCE: Final = 0.01
-# A clock whose typical tick is as long or longer counts something else than seconds: whole ones may be milliseconds.
+# A clock whose typical tick is longer counts something else than seconds, and may do so where whole ones take longer.
 _LONGEST_TICK_S: Final = 1.0
+_LONGEST_WHOLE_S: Final = 600.0
 # Seconds since 1970 between 2001 and 2100: a clock that counts them shows its unit.
 _EPOCH_S: Final = (1e9, 4.1e9)
 # A turn counts as so much of path where the path is the clock [m/rad].
@@ -69,7 +70,7 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
             asked.append(str(error))
         try:
             quaternion = _quaternion(recording, declared, reasons)
-            _check_other(recording, declared, quaternion)
+            _tell_other(recording, declared, quaternion, reasons)
         except AskError as error:
             asked.append(str(error))
         _check_asked(recording, declared, asked)
@@ -199,8 +200,8 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     return pose.from_rotation_vector(radians) if rotation == "vector" else pose.from_roll_pitch_yaw(radians)
 
 
-def _check_other(recording: Recording, declared: ImportSettings, quaternion: Array) -> None:
-    """Raise BadInputError if another orientation of the same poses is known and tells otherwise in most rows."""
+def _tell_other(recording: Recording, declared: ImportSettings, quaternion: Array, reasons: list[str]) -> None:
+    """Say so if another orientation of the same poses is known and tells otherwise in most rows."""
     other = recording.other
     if other is None or other.turn is None:
         return
@@ -208,13 +209,14 @@ def _check_other(recording: Recording, declared: ImportSettings, quaternion: Arr
         other = replace(other, angles="deg")
     try:
         found = _quaternion(replace(other, position=recording.position), declared, [])
-    except AskError:
+    except BadInputError:
+        # What is no orientation, such as rates, says nothing against one.
         return
     apart = float(np.degrees(np.median(pose.angle_of(pose.multiply(quaternion, pose.conjugate(found))))))
     if apart > _SAME_TURN_DEG:
-        raise BadInputError(
-            f"demos {recording.where}: the orientations of {other.where} must agree within {_SAME_TURN_DEG:g}°, found"
-            f" them {apart:.1f}° apart; import.columns={{x: NAME, …}} names the one to read"
+        reasons.append(
+            f"the orientations of {other.where} are {apart:.1f}° apart, and the first is read:"
+            " import.columns={x: NAME, …} names another"
         )
 
 
@@ -350,8 +352,9 @@ def _seconds(recording: Recording, declared: ImportSettings, reasons: list[str])
     if clock is None:
         steps = np.diff(ticks)
         tick = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        if tick >= _LONGEST_TICK_S:
-            rule = f"s, ms, us or ns, as {tick:g} s from row to row are too long to be taken for seconds"
+        if tick > _LONGEST_TICK_S or (tick == _LONGEST_TICK_S and np.ptp(ticks) > _LONGEST_WHOLE_S):
+            whole = f" for {np.ptp(ticks):g} s" if tick == _LONGEST_TICK_S else ""
+            rule = f"s, ms, us or ns, as {tick:g} s from row to row{whole} are too long to be taken for seconds"
             raise _ask(recording, "clock", rule)
         reasons.append(f"time in s, as a row takes {1e3 * tick:.3g} ms")
         clock = "s"

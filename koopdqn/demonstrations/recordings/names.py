@@ -33,7 +33,8 @@ QUATERNION: Final = ("qw", "qx", "qy", "qz")
 VECTOR: Final = ("rx", "ry", "rz")
 ANGLES: Final = ("roll", "pitch", "yaw")
 # KUKA turns by A about z, by B about the new y, by C about the newest x: by C, B, A about fixed x, y, z, in degrees.
-KUKA: Final = ("c", "b", "a")
+# In capitals, as KUKA writes them: a, b and c may be anything.
+KUKA: Final = ("C", "B", "A")
 AXES: Final = ("x", "y", "z")
 _LEAVES: Final = (*AXES, "w", *QUATERNION, *VECTOR, *ANGLES)
 # Other spellings of a last word: what it stands for.
@@ -65,7 +66,7 @@ def parsed(name: str) -> Name:
     bracket = _BRACKETED.search(text)
     if bracket and bracket[1].lower() in _KNOWN_UNITS:
         text, unit = text[: bracket.start()], bracket[1].lower()
-    words = [word.lower() for word in _WORDS.split(text) if word]
+    words = [word if word in KUKA else word.lower() for word in _WORDS.split(text) if word]
     if len(words) > 1 and not unit and words[-1] in _KNOWN_UNITS and not (words[-1] == "m" and words[-2] == "t"):
         unit = words.pop()
     if len(words) > 1 and words[-1].isdecimal() and words[-2] in _LEAVES:

@@ -117,6 +117,8 @@ def _lettered(
         own = _owner(words, _TURN | _POSITION)
         found = _turn(own, [leaves[leaf] for leaf in names], rotation, known)
         if names == KUKA:
+            if own in turns:
+                continue
             found = replace(found, angles=found.angles or "deg")
         turns[own] = replace(turns[owner], other=found) if owner in turns else found
     if not all(leaf in leaves for leaf in AXES):
