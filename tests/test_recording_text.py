@@ -349,7 +349,7 @@ def test_units_of_a_pose_that_is_not_read_may_be_mixed(tmp_path: Path) -> None:
 
 def test_whole_seconds_are_taken_for_seconds_where_they_may_be(tmp_path: Path) -> None:
     def ticking(count: int) -> Path:
-        rows = np.column_stack([np.arange(count), np.resize(POSES, (count, 7))])
+        rows = np.column_stack([np.arange(float(count)), np.resize(POSES, (count, 7))])
         return written(tmp_path / f"{count}.csv", "t x y z qw qx qy qz", rows)
 
     assert load(ticking(60), NOTHING, None).items[0].times[-1] == 59.0
