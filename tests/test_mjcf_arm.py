@@ -211,6 +211,9 @@ def test_the_digest_is_also_of_what_a_file_includes_and_names(tmp_path: Path, se
     (tmp_path / "parts").mkdir()
     mesh = tmp_path / "parts" / "block.obj"
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n")
+    alone = hashlib.sha256(top.read_bytes()).hexdigest()
+    # As an earlier koopdqn wrote it.
+    assert arm_of(top, "flange", f"robot.sha256={alone}").sha256 == arm_of(top).sha256 != alone
     known = arm_of(top).sha256
     for file in (mesh, tmp_path / "inner.xml"):
         text = file.read_text(encoding="utf-8")

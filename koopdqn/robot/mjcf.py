@@ -70,7 +70,7 @@ class MjcfArm(Settings):
         for key in _LISTS:
             if isinstance(known.get(key), int | float):
                 known[key] = (known[key],) * len(model.joints)
-        return {**read, **known}
+        return {**read, **known, "sha256": model.sha256}
 
     @model_validator(mode="after")
     def _check(self) -> "MjcfArm":
