@@ -15,7 +15,7 @@ from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.files import read_json
 
-LONGER = ("train.stop=limit", "train.extend=5")
+LONGER = ("train.stop=limit", "train.extend=4")
 RESULTS = ("policy.safetensors", "feedback.jsonl", "demos.hdf5", "intent.npz", "fit.json")
 PICTURES = ("fit.png", "train.png")
 

@@ -1,3 +1,5 @@
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -61,9 +63,14 @@ def test_more_demonstrations_of_one_law_foretell_it_better() -> None:
     assert off(40) < off(10) < off(3)
 
 
+@cache
+def of_twelve() -> StartFrame:
+    return StartFrame.chosen(shown(12), START, END)
+
+
 @given(share=shares, aside=offsets, offset=offsets)
 def test_what_was_moved_comes_back(share: float, aside: Array, offset: Array) -> None:
-    frame = StartFrame.chosen(shown(12), START, END)
+    frame = of_twelve()
     here = path(np.zeros(3))[round(149 * share)].copy()
     here[:3] += aside
     start = START.copy()
