@@ -1,11 +1,13 @@
 """What commands share: a run is evaluated as it was trained, whatever the defaults are by now."""
 
+import shutil
 from pathlib import Path
 
 import pytest
 from small_run import SMALL
 
 from koopdqn.app import cli
+from koopdqn.artifact import read_artifact
 from koopdqn.files import read_json
 
 RECORD = Path(".hydra") / "overrides.yaml"
@@ -83,3 +85,32 @@ def test_what_the_command_line_changes_stays_changed(
 ) -> None:
     assert cli.main(["eval", f"run={run}", "task.lip_m=0.005", f"out={tmp_path / 'eval'}"]) == 2
     assert "(differing: lip_m, 0.012 there and 0.005 here)" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run as it was begun, with a checkpoint."""
+    folder = tmp_path_factory.mktemp("begun") / "run"
+    assert cli.main(["train", *SMALL, f"out={folder}"]) in (0, 1)
+    return folder
+
+
+def test_what_a_run_goes_on_with_is_recorded_and_what_it_refuses_is_not(begun: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(begun, folder)
+    assert cli.main(["train", f"run={folder}", "train.max_steps=7777"]) in (0, 1)
+    record = (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8")
+    assert "train.max_steps=7777" in record
+    assert "max_steps: 7777" in (folder / ".hydra" / "config.yaml").read_text(encoding="utf-8")
+    assert cli.main(["train", f"run={folder}", "agent.gamma=0.123"]) == 2
+    assert (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8") == record
+
+
+def test_a_policy_holds_the_settings_that_its_intent_was_fitted_with(
+    begun: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = (f"demos={begun}/demos.hdf5", f"intent={begun}/intent.npz", "trust=box", "train.max_steps=1500")
+    assert cli.main(["train", *SMALL, *given, f"out={tmp_path / 'run'}"]) in (0, 1)
+    assert "trust: as the intent was fitted, from which the config differs" in capsys.readouterr().err
+    about = [read_artifact(folder / "policy.safetensors", "policy").about for folder in (begun, tmp_path / "run")]
+    assert about[0]["trust"] == about[1]["trust"]
