@@ -136,8 +136,11 @@ class Reachability:
         return ([*path, motion.joints] if motion.joints is not None else path), motion
 
     def follows(self, paths: Sequence[Array]) -> bool:
-        """Return whether the arm can follow all paths, poses (N, 7) each."""
-        # Coarsely first: faster, and stricter where joints are fast.
+        """Return whether the arm can follow all paths, poses (N, 7) each, in steps of six poses or in all of them.
+
+        Long steps are enough to choose a posture by, and stricter where joints are fast; what touches between them is
+        found when the path is followed.
+        """
         return all(
             self.follow_as_far(path[::_EVERY])[1].joints is not None or self.follow_as_far(path)[1].joints is not None
             for path in paths

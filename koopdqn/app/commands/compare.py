@@ -24,6 +24,7 @@ from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, n
 from koopdqn.files import write_json
 from koopdqn.plots import style
 from koopdqn.pose import POSITION, Array
+from koopdqn.report.runs import SCRIPTED
 from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.schema import TrainReport
 from koopdqn.settings import plain
@@ -46,8 +47,6 @@ _SHAPING: Final = (
     "train",
 )
 """Keys of the config that may change what is learned."""
-_ORACLE: Final = "scripted"
-"""Who answers where nothing else is said."""
 _LONGEST: Final = 60
 
 
@@ -111,7 +110,7 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     # Who answered is no part of the config that a trained run is read with.
     asked = {item.key: str(item.value) for item in read_record(place, "a training run") if item.root == "oracle"}
     told = read_report(place / TRAINING, "training report", TrainReport).get("oracle")
-    keys |= {**asked, "oracle": told or asked.get("oracle", _ORACLE)}
+    keys |= {**asked, "oracle": told or asked.get("oracle", SCRIPTED)}
     trained = read_trained(own, place)
     keys["corrected"] = "yes" if isinstance(trained.policy, PolicyAround) else "no"
     keys["demonstrations (SHA-256)"] = trained.demonstrations.digest()[:12]
