@@ -32,9 +32,14 @@ def shown(count: int, seed: int = 0) -> list[Array]:
     return [path(offset) for offset in np.random.default_rng(seed).uniform(-0.02, 0.02, (count, 3))]
 
 
-@pytest.fixture(scope="module")
-def frame() -> StartFrame:
+@cache
+def of_twelve() -> StartFrame:
     return StartFrame.chosen(shown(12), START, END)
+
+
+@pytest.fixture
+def frame() -> StartFrame:
+    return of_twelve()
 
 
 def regression_of(frame: StartFrame) -> StartRegression:
@@ -61,11 +66,6 @@ def test_more_demonstrations_of_one_law_foretell_it_better() -> None:
         return float(np.mean([hausdorff(foretold(frame, known, o[0])[:, :3], o[:, :3]) for o in shown(8, seed=1)]))
 
     assert off(40) < off(10) < off(3)
-
-
-@cache
-def of_twelve() -> StartFrame:
-    return StartFrame.chosen(shown(12), START, END)
 
 
 @given(share=shares, aside=offsets, offset=offsets)
