@@ -186,7 +186,7 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
         return np.concatenate([straight_path(start, path[0], task), path[1:]])
 
     made = {
-        "greedy": led(Greedy(learned.reward.model, task)),
+        "greedy": led(Greedy(learned.reward.model, task, continuous=learned.reward.continuous)),
         "replay": followed(lambda start: replay_path(start, learned.shown, task)),
         "mean": followed(mean_path),
         "dmp": followed(dmp_path),
@@ -199,7 +199,7 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
         row |= {"way": False, "exists": way_exists(learned, cell)}
     else:
         made["policy"] = led(around(learned.policy, reward.model))
-        made["modulated"] = led(Greedy(reward.model, task))
+        made["modulated"] = led(Greedy(reward.model, task, continuous=reward.continuous))
         row["behind_mm"] = behind(learned, made["policy"], last, starts)
         row["floor_mm"] = behind(
             learned,
