@@ -9,6 +9,7 @@ import numpy as np
 
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.hydra.compose import composed, explain
 from koopdqn.app.hydra.overrides import as_hydra_takes_it, literal
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -76,7 +77,7 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
         if told is None:
             raise
         raise told from error
-    return pipeline.with_task(config, None, keep=False)
+    return with_task(config, None, keep=False)
 
 
 @typed

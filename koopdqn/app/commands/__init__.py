@@ -45,7 +45,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
-    from koopdqn.app.commands.pipeline import as_trained, with_task
+    from koopdqn.app.commands.demonstrated import with_task
+    from koopdqn.app.commands.trained import as_trained
     from koopdqn.settings import plain
     from koopdqn.threads import threads
     from koopdqn.untrusted import targets, trusting

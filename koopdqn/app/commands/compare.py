@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from koopdqn import console
-from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.report import RUNS
-from koopdqn.app.commands.trained import TrainedRun, read_trained
+from koopdqn.app.commands.trained import TrainedRun, as_trained, read_trained
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.app.hydra.record import GROUPS, read_record
@@ -103,7 +103,7 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     """Return the run in a folder, with its config as it was trained."""
     trusted = f"trust_modules=[{','.join(config.inputs.trust_modules)}]"
     tree = composed(prepare("eval", [f"run={place}", trusted]).overrides)
-    own = pipeline.as_trained(pipeline.with_task(Configuration.load(tree), place, keep=False), place)
+    own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
     # As it was trained, where today's defaults differ.
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
     keys = _flat({key: known[key] for key in _SHAPING if key in known})

@@ -12,14 +12,14 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
+from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
 from koopdqn.app.correcting.screen import CorrectingScreen, check_keyboard
 from koopdqn.app.correcting.showing import Showing
 from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
+from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
 from koopdqn.pose import Array
@@ -30,7 +30,7 @@ from koopdqn.tasks.workcell import Workcell
 
 NAME = "correct.json"
 SHOWN = "waypoints.csv"
-_KEPT = (pipeline.DEMONSTRATIONS, pipeline.INTENT, REPORT, "fit.json")
+_KEPT = (pipeline.DEMONSTRATIONS, pipeline.INTENT, TRAINING, "fit.json")
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class _Learned:
     @classmethod
     def read(cls, config: Configuration, source: Path) -> "_Learned":
         policy, about = read_policy(source / POLICY, config.task)
-        if pipeline.differs_from_trained(config.robot, about["robot"]):
+        if differs_from_trained(config.robot, about["robot"]):
             raise BadInputError(f"robot: must be the arm that the run was trained with, found {config.robot.name}")
-        limit, workcell = step_limit_of(source / REPORT), pipeline.open_scene(config)
+        limit, workcell = step_limit_of(source / TRAINING), pipeline.open_scene(config)
         controller = policy if policy.bend is None else PolicyAround(policy, policy.bend)
         episode = played(workcell, controller, limit)
         return cls(

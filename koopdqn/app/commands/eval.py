@@ -10,15 +10,15 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
+from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
-from koopdqn.files import read_json, sha256_of, write_json
+from koopdqn.evaluation.results import EVALUATION, TRAINING
+from koopdqn.files import sha256_of, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
-from koopdqn.settings import shown
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
 
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from koopdqn.evaluation.evaluate import Evaluation
-
-_LONGEST = 1_000_000
-"""The most steps that an episode may be given."""
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -52,7 +49,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             made_with = about["made_from"][name]
         if made_with != sha:
             raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
-    step_limit = step_limit_of(source / REPORT)
+    step_limit = step_limit_of(source / TRAINING)
     film = folder / "eval.mp4"
     if config.eval.video:
         from koopdqn.view.film import check_film
@@ -74,11 +71,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             config.guard,
         )
     added = bool(config.task.obstacles) and not about["task"].get("obstacles")
-    another_arm = pipeline.differs_from_trained(config.robot, about["robot"])
+    another_arm = differs_from_trained(config.robot, about["robot"])
     as_trained = not (added or another_arm) and config.eval.goal is None and config.eval.start_scale == 1.0
     content = {**evaluation.report, "run": str(source), "as_trained": as_trained, "policy": sha256_of(source / POLICY)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
-    write_json(folder / "eval.json", report)
+    write_json(folder / EVALUATION, report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
     paths = [episode.positions for episode in evaluation.episodes[:20]]
     image = pipeline.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
@@ -89,7 +86,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         *off(report, "the demonstrator's own path", continuous=config.agent.continuous),
         *_guarded(report["dynamics"]),
         *_held_out(report, continuous=config.agent.continuous),
-        f"report          {console.shown_path(folder / 'eval.json')}",
+        f"report          {console.shown_path(folder / EVALUATION)}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
     if config.eval.video:
@@ -132,21 +129,6 @@ def _film(
     clear = workcell.without_obstacles().reachability
     shown = demonstrated_motions(demonstrations.items, clear, workcell.task, len(demonstrations))
     pipeline.film(path, workcell.scene, learned, shown)
-
-
-def step_limit_of(path: Path) -> int:
-    """Return the step limit of the training report at a path, ``train.json``.
-
-    Raises:
-        BadInputError: the file is missing, or holds none.
-    """
-    report = read_json(path, "the training report")
-    limit = report.get("step_limit") if isinstance(report, dict) else None
-    if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= _LONGEST:
-        raise BadInputError(
-            f"{path}: step_limit must be a whole number above 0, at most {_LONGEST}, found {shown(limit)}"
-        )
-    return limit
 
 
 def table(report: dict[str, Any]) -> "Table":

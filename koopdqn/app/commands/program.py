@@ -9,13 +9,14 @@ import numpy as np
 from koopdqn import console, pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import near_person, step_limit_of
+from koopdqn.app.commands.eval import near_person
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
+from koopdqn.app.commands.trained import step_limit_of
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
@@ -91,7 +92,7 @@ def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
 
     settings = config.program
     policy, _ = read_policy(run / POLICY, config.task, anywhere=True)
-    step_limit = step_limit_of(run / REPORT)
+    step_limit = step_limit_of(run / TRAINING)
     demonstrations = pipeline.demonstrations_of(config, run)
     placement = demonstrations.placement if settings.frame == "recorded" else None
     if placement is not None:

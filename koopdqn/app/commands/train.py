@@ -14,6 +14,7 @@ from koopdqn.app.hydra.application import in_sweep, record_continued
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL
@@ -33,7 +34,6 @@ from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.settings import shown
 from koopdqn.view.dashboard import Dashboard, fits
 
-REPORT = "train.json"
 BEGUN = "begun.json"
 
 
@@ -96,7 +96,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     made = trainer.best, config.agent.network, intent.model.start_frame, shaped_by
     write_policy(folder / POLICY, *made, continuous=config.agent.continuous)
     report = train_report(config, trainer, seconds, made_from)
-    write_json(folder / REPORT, report)
+    write_json(folder / TRAINING, report)
     # Here and not before: matplotlib takes a while to load, and learning need not wait for it.
     from koopdqn.plots.train import plot_training
 
@@ -116,7 +116,7 @@ def _goes_on(folder: Path) -> str:
 def _check_threads(config: Configuration) -> None:
     """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
     journal = getattr(config.oracle, "journal", None)
-    report = None if journal is None else Path(journal).parent / REPORT
+    report = None if journal is None else Path(journal).parent / TRAINING
     if report is None or not report.is_file():
         return
     content = read_json(report, "the training report")
@@ -242,7 +242,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
         *_cut_short(trainer),
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
-        f"report          {console.shown_path(folder / REPORT)}",
+        f"report          {console.shown_path(folder / TRAINING)}",
         f"training curve  {console.shown_path(folder / 'train.png')}",
     ]
 

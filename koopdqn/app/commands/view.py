@@ -6,6 +6,7 @@ from typing import Any, Final
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.trained import read_trained
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.result import CommandResult
@@ -89,7 +90,7 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     demonstrations = together(read, config.chosen.name, config.robot.name, any_task=True, cut=bool(config.import_.cut))
     task = _task_of(config, read[0].task)
     if isinstance(config.chosen, Derivation) and config.chosen.place == "auto":
-        moved = pipeline.with_task(config, folder, keep=False)
+        moved = with_task(config, folder, keep=False)
         demonstrations, task = pipeline.demonstrations_of(moved, folder), moved.task
     scene = SceneBuilder(config.robot).build() if task is None else build_scene(task, config.robot)
     posture = None
