@@ -120,7 +120,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     class Made:
         task, arm, motion = "shelf", ARM, MOTION
 
-    monkeypatch.setattr(command, "program_of", lambda config, trained, workcell: Made)
+    monkeypatch.setattr(command, "program_of", lambda config, trained: (Made, None))
     return folder
 
 

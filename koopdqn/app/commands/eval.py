@@ -10,15 +10,13 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
+from koopdqn.app.commands.trained import differs_from_trained, read_trained
 from koopdqn.app.result import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.results import EVALUATION, TRAINING
+from koopdqn.evaluation.results import EVALUATION
 from koopdqn.files import sha256_of, write_json
-from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.storage import read_intent
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
 
@@ -34,38 +32,31 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
-    from koopdqn.rl.around import around
-    from koopdqn.rl.policy import read_policy
 
     source = config.inputs.run
     if source is None:
         raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
-    policy, about = read_policy(source / POLICY, config.task, anywhere=True)
-    demonstrations = pipeline.demonstrations_of(config, source)
-    intent = read_intent(source / pipeline.INTENT, config.task)
-    made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
-    for name, sha in made_from.items():
-        with reading(f"policy {source / POLICY}"):
-            made_with = about["made_from"][name]
-        if made_with != sha:
-            raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
-    step_limit = step_limit_of(source / TRAINING)
     film = folder / "eval.mp4"
     if config.eval.video:
         from koopdqn.view.film import check_film
 
         check_film(film, "eval.video")
-    workcell = pipeline.open_scene(config)
-    trajectories = agent_steps(demonstrations, config.task)
-    reward = pipeline.reward_of(config, workcell, intent, trajectories)
+    trained = read_trained(config, source)
+    demonstrations, workcell, about = trained.demonstrations, trained.workcell, trained.about
+    made_from = {"demonstrations": demonstrations.digest(), "intent": trained.intent.digest()}
+    for name, sha in made_from.items():
+        with reading(f"policy {source / POLICY}"):
+            made_with = about["made_from"][name]
+        if made_with != sha:
+            raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
-            around(policy, reward.model),
-            reward,
-            trajectories,
+            trained.policy,
+            trained.reward,
+            trained.trajectories,
             config.eval,
-            step_limit,
+            trained.step_limit,
             stage.advance,
             pipeline.held_out_of(config),
             config.guard,

@@ -1,25 +1,20 @@
 """``koopdqn export run=DIR``: the path that a run learned, written as a checked robot program."""
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from koopdqn import console, pose
-from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.eval import near_person
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.trained import step_limit_of
+from koopdqn.app.commands.trained import read_trained
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.evaluation.results import TRAINING
-from koopdqn.files import write_json
-from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.storage import read_intent
+from koopdqn.files import sha256_of, write_json
 from koopdqn.paths import arc_lengths
 from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
@@ -28,12 +23,13 @@ from koopdqn.programs.rtde import write_rtde
 from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.rl.around import tube_of
+from koopdqn.robot.scene import Scene
 from koopdqn.robot.ur import URArm
 from koopdqn.safety.guard import Guard
 from koopdqn.safety.schema import SeparationReport, separation_report
 from koopdqn.safety.separation import separation
 from koopdqn.tasks.demonstrated import DemonstratedTask
-from koopdqn.tasks.workcell import Workcell
 
 REPORT_NAME = "program.json"
 PICTURE = "program.png"
@@ -49,21 +45,20 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
     """
     settings = config.program
     _check_formats(config)
-    workcell = pipeline.open_scene(config)
-    program = program_of(config, run, workcell)
+    program, scene = program_of(config, run)
     files: dict[str, str] = {}
     for name in settings.formats:
         file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
         write(folder / file, program)
         files[name] = file
-    report = _report(program, files, run / POLICY, settings, _near(workcell, program, config)).model_dump(mode="json")
+    report = _report(program, files, run / POLICY, settings, _near(scene, program, config)).model_dump(mode="json")
     write_json(folder / REPORT_NAME, report)
     from koopdqn.plots.program import plot_program
 
     title = (
         f"{program.task}: {report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm on {program.arm.name}"
     )
-    plot_program(folder / PICTURE, title, program, workcell.scene)
+    plot_program(folder / PICTURE, title, program, scene)
     used, dynamics = report["limits_used"], report["dynamics"]
     lines = [
         f"{report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm, {report['samples']} samples,"
@@ -80,21 +75,15 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
     return CommandResult(report, lines)
 
 
-def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
-    """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it.
+def program_of(config: Configuration, run: Path) -> tuple[Program, Scene]:
+    """Return the checked program of the policy in a run's folder, and the scene in which it was checked.
 
     Raises:
         BadInputError: the run holds no policy of this task, or the start breaks a rule.
         WorkFailedError: there is no program that keeps every limit and touches nothing.
     """
-    from koopdqn.rl.around import around, tube_of
-    from koopdqn.rl.policy import read_policy
-
-    settings = config.program
-    policy, _ = read_policy(run / POLICY, config.task, anywhere=True)
-    step_limit = step_limit_of(run / TRAINING)
-    demonstrations = pipeline.demonstrations_of(config, run)
-    placement = demonstrations.placement if settings.frame == "recorded" else None
+    settings, trained = config.program, read_trained(config, run)
+    placement = trained.demonstrations.placement if settings.frame == "recorded" else None
     if placement is not None:
         console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
     if isinstance(config.task, DemonstratedTask):
@@ -103,12 +92,10 @@ def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
         raise BadInputError(
             "program.frame: must be placed where obstacles stand in the scene, found recorded: they were not there"
         )
-    intent = read_intent(run / pipeline.INTENT, config.task)
-    reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
-    served = around(policy, reward.model)
-    guard = Guard(workcell, config.guard, tube_of(served, reward.trust), reward.model.start_frame)
+    policy, workcell, reward = trained.policy, trained.workcell, trained.reward
+    guard = Guard(workcell, config.guard, tube_of(policy, reward.trust), reward.model.start_frame)
     try:
-        return make_program(workcell, served, settings, step_limit, placement, guard)
+        return make_program(workcell, policy, settings, trained.step_limit, placement, guard), workcell.scene
     except WorkFailedError as error:
         if placement is None:
             raise
@@ -143,11 +130,11 @@ _WRITERS: dict[str, tuple[str, Callable[[Path, Program], None]]] = {
 """File name and writer of each format, and of the other kind of URScript."""
 
 
-def _near(workcell: Workcell, program: Program, config: Configuration) -> SeparationReport | None:
+def _near(scene: Scene, program: Program, config: Configuration) -> SeparationReport | None:
     if config.guard.person is None:
         return None
     motion = program.motion
-    found = separation(workcell.scene, motion.joints, motion.times, config.guard.person)
+    found = separation(scene, motion.joints, motion.times, config.guard.person)
     return separation_report(found, motion.times.tolist())
 
 
@@ -160,7 +147,7 @@ def _report(
     return ProgramFile(
         task=program.task,
         arm=program.arm.name,
-        policy=hashlib.sha256(policy.read_bytes()).hexdigest(),
+        policy=sha256_of(policy),
         frame=settings.frame,
         start=motion.poses[0].tolist(),
         start_joints=motion.joints[0].tolist(),

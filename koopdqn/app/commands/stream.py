@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from koopdqn import console
-from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.program import program_of
@@ -45,7 +44,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         raise BadInputError("stream.host: must be given to move the arm (host=ADDRESS), found none")
     if settings.move:
         require_terminal("stream.move", "a key must be able to stop the arm")
-    program = program_of(config, trained, pipeline.open_scene(config))
+    program, _ = program_of(config, trained)
     motion, made = program.motion, Streamed(0, "", 0.0, 0.0)
     if settings.host is not None:
         read_state(settings.host, motion, moves=settings.move)

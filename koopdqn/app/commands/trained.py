@@ -18,9 +18,10 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.reward import RewardSettings
-from koopdqn.intent.storage import read_intent
+from koopdqn.intent.reward import IntentReward, RewardSettings
+from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.pose import Array
 from koopdqn.rl import checkpoint
 from koopdqn.rl.around import PolicyAround, around
 from koopdqn.rl.human_reward import Feedback
@@ -44,17 +45,23 @@ class TrainedRun:
 
     Attributes:
         policy: what was learned; led around what stands in the scene now, and along what a person corrected.
+        about: the metadata of the policy's file.
         demonstrations: that it learned from.
+        trajectories: their poses (N, 7) at the agent's step.
+        intent: that was fitted to them.
         workcell: task, arm and scene.
-        feedback: the reward function, with what answers taught.
+        reward: the reward function of the intent.
         step_limit: of its episodes.
         referred: whether the scripted person's own paths are what learned ones are compared with.
     """
 
     policy: Policy | PolicyAround
+    about: dict[str, Any]
     demonstrations: Demonstrations
+    trajectories: list[Array]
+    intent: StoredIntent
     workcell: Workcell
-    feedback: Feedback
+    reward: IntentReward
     step_limit: int
     referred: bool
 
@@ -65,20 +72,30 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     Raises:
         BadInputError: a file is missing or damaged, or obstacles leave no way.
     """
-    policy, _ = read_policy(source / POLICY, config.task, anywhere=True)
+    policy, about = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)
+    limit = step_limit_of(source / TRAINING)
     workcell = pipeline.open_scene(config)
-    reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
-    served = around(policy, reward.model)
-    feedback = Feedback(reward, ScriptedOracle(config.task), config.feedback)
+    trajectories = agent_steps(demonstrations, config.task)
+    reward = pipeline.reward_of(config, workcell, intent, trajectories)
+    served, referred = around(policy, reward.model), config.derived is None
+    return TrainedRun(served, about, demonstrations, trajectories, intent, workcell, reward, limit, referred)
+
+
+def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Feedback:
+    """Return the reward function of the training in a folder, with what answers taught if a checkpoint holds it.
+
+    Raises:
+        BadInputError: the checkpoint is damaged.
+    """
+    feedback = Feedback(trained.reward, ScriptedOracle(config.task), config.feedback)
     path = checkpoint.checkpoint_path(source)
     if path.is_file():
         arrays = read_artifact(path, checkpoint.KIND).arrays
         with reading(f"checkpoint {path}"):
             feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
-    referred = pipeline.held_out_of(config) is None
-    return TrainedRun(served, demonstrations, workcell, feedback, step_limit_of(source / TRAINING), referred)
+    return feedback
 
 
 def as_trained(config: Configuration, run: Path) -> Configuration:

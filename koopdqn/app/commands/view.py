@@ -7,7 +7,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
-from koopdqn.app.commands.trained import read_trained
+from koopdqn.app.commands.trained import feedback_of, read_trained
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.derivation import Derivation
@@ -59,10 +59,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
 def _of_run(config: Configuration, source: Path) -> Shown:
     run = read_trained(config, source)
+    feedback = feedback_of(config, run, source)
     starts, cell = min(config.view.starts, config.eval.episodes), run.workcell
     with console.stage("Moving the arm"):
         learned = learned_motions(
-            cell, run.policy, run.feedback, config.eval, starts, run.step_limit, referred=run.referred
+            cell, run.policy, feedback, config.eval, starts, run.step_limit, referred=run.referred
         )
         clear = cell.without_obstacles().reachability
         shown = demonstrated_motions(run.demonstrations.items, clear, config.task, _FOLLOWED)
@@ -77,7 +78,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
         cell.scene,
         [*learned, *shown],
         [item.poses[:, POSITION] for item in run.demonstrations.items],
-        run.feedback.reward.trust,
+        run.reward.trust,
         config.task.goal,
     )
 
