@@ -188,26 +188,14 @@ def train(
             cannot.
         PauseRequested: who answers wants to go on another time.
     """
-    from koopdqn.rl.algorithm1 import Trainer
-    from koopdqn.rl.human_reward import Budget
-    from koopdqn.rl.questions import Asking
+    from koopdqn.app.commands.train import trainer_of
     from koopdqn.rl.settings import check_device
 
     check_device(config.agent)
-    workcell, seed = open_workcell(config), config.inputs.seed
+    workcell = open_workcell(config)
     reward = reward_around_obstacles(config, workcell, demonstrations, fitted)
-    trainer = Trainer(
-        workcell,
-        reward,
-        reward.model.placed(agent_steps(demonstrations, config.task)),
-        _answering(config, oracle, workcell, reward),
-        config.agent,
-        config.train,
-        seed,
-        config.feedback,
-        Budget(config.oracle.budget, config.oracle.when_spent),
-        Asking(config.oracle.ask, config.oracle.gather_most),
-    )
+    who = _answering(config, oracle, workcell, reward)
+    trainer = trainer_of(config, workcell, reward, agent_steps(demonstrations, config.task), who)
     trainer.run(on_check)
     return Trained(trainer.best_policy(), trainer.learned, trainer.questions, trainer.step_limit, trainer.history)
 

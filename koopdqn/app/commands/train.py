@@ -17,9 +17,11 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.reward import BY_MODEL
+from koopdqn.intent.reward import BY_MODEL, IntentReward
+from koopdqn.oracles.base import Oracle
 from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
+from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.around import answering
 from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
@@ -32,6 +34,7 @@ from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.settings import shown
+from koopdqn.tasks.workcell import Workcell
 from koopdqn.view.dashboard import Dashboard, fits
 
 BEGUN = "begun.json"
@@ -69,18 +72,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     reward = pipeline.reward_of(config, workcell, intent, shown_paths)
     opened = answering(config.oracle.open(workcell, config.inputs.seed, folder), config.oracle, reward.model)
     oracle = JournalledOracle(opened, folder / JOURNAL, answered)
-    trainer = Trainer(
-        workcell,
-        reward,
-        reward.model.placed(shown_paths),
-        oracle,
-        config.agent,
-        config.train,
-        config.inputs.seed,
-        config.feedback,
-        Budget(config.oracle.budget, config.oracle.when_spent),
-        Asking(config.oracle.ask, config.oracle.gather_most),
-    )
+    trainer = trainer_of(config, workcell, reward, shown_paths, oracle)
     if checkpoint is not None:
         with reading(f"checkpoint {checkpoint_path(folder)}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
@@ -106,6 +98,24 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
         _lines(report, folder, trainer),
         objective=report["best_success_rate"],
         exit_status=0 if trainer.learned else 1,
+    )
+
+
+def trainer_of(
+    config: Configuration, workcell: Workcell, reward: IntentReward, shown: list[Array], oracle: Oracle
+) -> Trainer:
+    """Return what learns with a reward function from the poses (N, 7) of demonstrations; ``oracle`` answers it."""
+    return Trainer(
+        workcell,
+        reward,
+        reward.model.placed(shown),
+        oracle,
+        config.agent,
+        config.train,
+        config.inputs.seed,
+        config.feedback,
+        Budget(config.oracle.budget, config.oracle.when_spent),
+        Asking(config.oracle.ask, config.oracle.gather_most),
     )
 
 
