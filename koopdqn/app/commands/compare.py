@@ -182,7 +182,7 @@ def _told(each: _Run, motions: Sequence[Motion]) -> ComparedRun:
 
 def _config_listing(differences: Sequence[Difference], runs: Sequence[_Run]) -> Listing:
     rows = [(each.key, *(value or "–" for value in each.values)) for each in differences]
-    count = "no difference" if not rows else f"{len(rows)} difference{'s' if len(rows) > 1 else ''}"
+    count = console.counted(len(rows), "difference") if rows else "no difference"
     return Listing(f"Config: {count}", ("key", *(each.label for each in runs)), rows)
 
 

@@ -87,7 +87,7 @@ def _drawn(
         "sha256": demonstrations.digest(),
         "file": str(path),
     }
-    count = f"{len(demonstrations)} demonstration{'s' if len(demonstrations) > 1 else ''}"
+    count = console.counted(len(demonstrations), "demonstration")
     lines = [
         f"{count} of task {config.task.name}, {sum(samples)} samples",
         *remarks,

@@ -145,7 +145,7 @@ def import_(config: Configuration, folder: Path) -> CommandResult:
         for index, each in enumerate(cut[:_MOST_SHOWN])
     ]
     headings = ("demo", "samples", "time", "idle before", "after", "path", "turn", "reached")
-    count = f"{len(demonstrations)} demonstration{'s' if len(demonstrations) > 1 else ''}"
+    count = console.counted(len(demonstrations), "demonstration")
     lines: list[RenderableType] = [
         *recognised(read),
         console.table(headings, rows, (), title=f"{count} for task {name}"),

@@ -100,7 +100,7 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     reachability = Reachability(config.robot, scene, config.robot.step_seconds, posture)
     with console.stage("Moving the arm"):
         shown = demonstrated_motions(demonstrations.items, reachability, task, _FOLLOWED)
-    count = f"{len(demonstrations)} demonstration{'s' if len(demonstrations) > 1 else ''}"
+    count = console.counted(len(demonstrations), "demonstration")
     samples = sum(len(item) for item in demonstrations.items)
     stopped = [f"{motion.name}: {motion.remark}" for motion in shown if len(motion.joints) < len(motion.poses)]
     return Shown(

@@ -12,6 +12,7 @@ from rich.text import Text
 from koopdqn import pose
 from koopdqn.app.correcting.showing import NOT_ADDED, REFUSED, Showing
 from koopdqn.app.recording.screen import pair, row
+from koopdqn.console import counted
 from koopdqn.errors import KoopdqnError
 from koopdqn.oracles.base import PauseRequested
 from koopdqn.oracles.terminal.device import require_terminal
@@ -132,7 +133,6 @@ def _right(content: Shown, width: int) -> list[Text]:
     showing = content.showing
     here, goal, bent, standing = showing.here, showing.goal, showing.under_way, showing.standing()
     left = pose.multiply(pose.conjugate(here[pose.QUATERNION]), goal[pose.QUATERNION])
-    count = len(showing.added)
     lines = [
         Text("              x       y       z", style=DIM),
         row("tool", here[pose.POSITION] * 1e3, "mm"),
@@ -143,7 +143,7 @@ def _right(content: Shown, width: int) -> list[Text]:
         *wrapped(f"arm    {standing}", width, _TOOL if standing.startswith(REFUSED) else Style()),
         Text(""),
         pair("step", f"{showing.step * 1e3:.4g} mm"),
-        pair("added", f"{count} waypoint{'' if count == 1 else 's'}"),
+        pair("added", counted(len(showing.added), "waypoint")),
     ]
     moved = np.zeros(1) if bent is None else pose.norm(bent - showing.path)
     if moved.any():

@@ -12,6 +12,7 @@ from rich.text import Text
 from koopdqn import pose
 from koopdqn.app.recording.recorder import Recorder
 from koopdqn.app.recording.session import Recording
+from koopdqn.console import counted
 from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_terminal
 from koopdqn.oracles.terminal.graphics import Picture, Window
 from koopdqn.oracles.terminal.picture import BEFORE, WENT, Marks, WorkcellCamera
@@ -136,8 +137,8 @@ def _right(shown: Shown, width: int) -> list[Text]:
         *(wrapped(f"rule   BROKEN here: {task.rule}", width, _TOOL) if broken else [pair("rule", "held")]),
         Text(""),
         pair("step", f"{recorder.step * 1e3:.4g} mm, {np.degrees(recorder.turn):.3g}°"),
-        pair("path", f"{moves} move{'' if moves == 1 else 's'}, {recorder.length:.3f} m"),
-        pair("", f"{samples} sample{'' if samples == 1 else 's'} when played"),
+        pair("path", f"{counted(moves, 'move')}, {recorder.length:.3f} m"),
+        pair("", f"{counted(samples, 'sample')} when played"),
         pair("kept", f"{len(recorder.state.kept)}"),
         *([pair("in", shown.file, DIM)] if recorder.state.kept else []),
         Text(""),
