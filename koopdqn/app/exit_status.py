@@ -75,16 +75,12 @@ class _Interruption(BaseException):
     """
 
 
-def _interrupted(error: BaseException) -> int:
+def _interrupted(error: BaseException, what: str = "interrupted") -> int:
     # The terminal may be gone.
     with contextlib.suppress(OSError, ValueError):
-        console.note("; ".join(["koopdqn: interrupted", KEPT, *_notes(error)]))
+        # The notes say what goes on with the work.
+        console.note("; ".join([f"koopdqn: {what}", KEPT, *getattr(error, "__notes__", [])]))
     return INTERRUPTED
-
-
-def _notes(error: BaseException) -> list[str]:
-    """Return the notes of an exception: what goes on with the work."""
-    return list(getattr(error, "__notes__", []))
 
 
 def _report(error: Exception, *, debug: bool) -> int:
@@ -96,8 +92,7 @@ def _report(error: Exception, *, debug: bool) -> int:
         traceback.print_exception(error)
     known = error if isinstance(error, KoopdqnError) else explain(error)
     if known is not None and known.exit_status == INTERRUPTED:
-        console.note("; ".join([f"koopdqn: {known}", KEPT, *_notes(known)]))
-        return INTERRUPTED
+        return _interrupted(known, str(known))
     if known is not None:
         console.fail(str(known))
         return known.exit_status

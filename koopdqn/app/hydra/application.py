@@ -68,8 +68,7 @@ class Job:
         if not self.as_json:
             for line in outcome.lines:
                 console.say(line)
-        objective: float | None = outcome.objective
-        return objective
+        return outcome.objective
 
 
 _continued: "tuple[DictConfig, list[str], Path] | None" = None

@@ -53,6 +53,7 @@ def _is_open(word: str) -> bool:
 def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Iterator[str]:
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
+    from omegaconf import OmegaConf
 
     prefix = start[: len(start) - len(start.lstrip("+~"))]
     key, equals, value = start.removeprefix(prefix).partition("=")
@@ -66,7 +67,8 @@ def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Ite
                 yield from (prefix + item for item in _group_options())
     if not prefix.startswith("~"):
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-            yield from (prefix + item for item in _keys(_composed(typed, user_dir), "", nested="." in key))
+            content = OmegaConf.to_container(_composed(typed, user_dir), resolve=False)
+            yield from (prefix + item for item in _leaves(content, "", nested="." in key))
 
 
 def _group_options() -> Iterator[str]:
@@ -91,15 +93,8 @@ def _composed(typed: Sequence[str], user_dir: Path | None) -> "DictConfig":
         return compose("config")
 
 
-def _keys(node: "DictConfig", parent: str, *, nested: bool) -> Iterator[str]:
+def _leaves(content: Any, parent: str, *, nested: bool) -> Iterator[str]:
     """Yield ``key=current value`` of each leaf; below the top level only when a dot has been typed."""
-    from omegaconf import OmegaConf
-
-    content = OmegaConf.to_container(node, resolve=False)
-    yield from _leaves(dict(content) if isinstance(content, dict) else {}, parent, nested=nested)
-
-
-def _leaves(content: Mapping[Any, Any], parent: str, *, nested: bool) -> Iterator[str]:
     for name, value in content.items():
         if isinstance(value, Mapping):
             if nested:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from koopdqn.app.hydra.folder import ensure_resolver
 from koopdqn.app.hydra.record import GROUPS
+from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError, KoopdqnError, WorkFailedError, unknown_name
 from koopdqn.files import OUT_OF_ROOM
 from koopdqn.resources import conf_dir
@@ -194,15 +195,10 @@ def _from_yaml(error: BaseException) -> BadInputError | None:
 
 def _from_system(error: OSError) -> KoopdqnError:
     reason = error.strerror or _in_one_line(str(error)) or type(error).__name__
-    text = f"{_relative(error.filename)}: {reason}" if error.filename else reason
+    text = f"{shown_path(Path(str(error.filename)))}: {reason}" if error.filename else reason
     if error.errno is None or error.errno in OUT_OF_ROOM:
         return WorkFailedError(text)
     return BadInputError(text)
-
-
-def _relative(filename: object) -> str:
-    path = Path(str(filename))
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def _in_one_line(text: str) -> str:
