@@ -13,10 +13,10 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.report import RUNS
 from koopdqn.app.commands.trained import TrainedRun, as_trained, read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.app.hydra.record import GROUPS, read_record
-from koopdqn.app.result import CommandResult
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.metrics import reference_paths

@@ -16,7 +16,7 @@ from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
 from koopdqn.app.correcting.screen import CorrectingScreen, check_keyboard
 from koopdqn.app.correcting.showing import Showing
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
 from koopdqn.evaluation.results import TRAINING

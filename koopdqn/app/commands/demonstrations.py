@@ -12,7 +12,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.importing import sources_of
 from koopdqn.app.commands.pipeline import DEMONSTRATIONS
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5

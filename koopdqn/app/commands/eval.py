@@ -11,7 +11,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import differs_from_trained, read_trained
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError

@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.trained import TrainedRun, feedback_of, read_trained
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
 from koopdqn.intent.bend import BentIntent

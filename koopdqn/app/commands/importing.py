@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from koopdqn import console, pose
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import DEMONSTRATIONS
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.demonstrations.preprocess import trim_idle_each

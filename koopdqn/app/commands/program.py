@@ -10,7 +10,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.eval import near_person
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import read_trained
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError

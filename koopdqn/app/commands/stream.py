@@ -9,7 +9,7 @@ from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.program import program_of
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.files import sha256_of, write_json
 from koopdqn.oracles.terminal.device import require_terminal

@@ -10,8 +10,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.hydra.application import in_sweep, record_continued
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult, in_sweep, record_continued
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.results import TRAINING

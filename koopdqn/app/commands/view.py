@@ -8,8 +8,8 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.trained import feedback_of, read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.errors import BadInputError

@@ -8,14 +8,15 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
+
+from rich.console import RenderableType
 
 from koopdqn import console
 from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
 from koopdqn.app.hydra.record import RECORD
-from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
 from koopdqn.resources import conf_dir
@@ -23,6 +24,25 @@ from koopdqn.run_folder import locked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+
+@dataclass(frozen=True)
+class CommandResult:
+    """The outcome of a command.
+
+    Attributes:
+        result: what the command's result file holds; ``--json`` prints it. JSON values only, no NaN.
+        lines: what a person reads on standard output without ``--json``: texts (plain, no markup) or Rich
+            renderables.
+        objective: the value returned to Hydra's sweepers, or None.
+        exit_status: 0 done, 1 the work itself failed (not learned).
+    """
+
+    result: dict[str, Any]
+    lines: Sequence[RenderableType] = field(default_factory=tuple)
+    objective: float | None = None
+    exit_status: int = 0
+
 
 Work = Callable[[str, "DictConfig", Path], CommandResult]
 """What a command does: its name, the composed config and the run folder, to a result."""
