@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from koopdqn.app.hydra.application import CommandResult
-from koopdqn.errors import BadInputError, unknown_name
+from koopdqn.errors import BadInputError
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -19,7 +19,7 @@ _COMMANDS: Final = {
     "explain": ("explain.run", ("demos", "intent_file")),
     "compare": ("compare.run", ("demos", "intent_file")),
     "report": ("report.run", ("run", "demos", "intent_file")),
-    "import": ("importing.import_", ("run", "intent_file")),
+    "import": ("demonstrations.import_", ("run", "intent_file")),
     "inspect": ("inspection.inspect", ("run", "intent_file")),
     "export": ("demonstrations.export", ("intent_file",)),
     "stream": ("stream.run", ("demos", "intent_file")),
@@ -34,8 +34,6 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         BadInputError: the config, or a file it names, breaks a rule.
         WorkFailedError: the work itself failed.
     """
-    if command not in _COMMANDS:
-        raise unknown_name("command", command, _COMMANDS)
     import logging
     import sys
     import warnings

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, get_type_hints
 
 from koopdqn.app.recording import DemoSettings
@@ -84,6 +85,13 @@ class Configuration:
     stream: StreamSettings
     guard: GuardSettings
     derived: Derived | None = None
+
+    @property
+    def run(self) -> Path:
+        """The folder of the trained run to look at; BadInputError if none is named."""
+        if self.inputs.run is None:
+            raise BadInputError("run: must name a trained run, found none: first `koopdqn train`")
+        return self.inputs.run
 
     @property
     def task(self) -> Task:

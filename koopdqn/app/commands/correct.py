@@ -81,9 +81,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         WorkFailedError: the arm cannot follow the corrected path to the goal.
         PauseRequested: the person quit.
     """
-    began, source, given = monotonic(), config.inputs.run, config.correct.waypoints
-    if source is None:
-        raise BadInputError("run: must name the trained run to correct, found none")
+    began, source, given = monotonic(), config.run, config.correct.waypoints
     if given is None:
         check_keyboard()
     learned = _Learned.read(config, source)

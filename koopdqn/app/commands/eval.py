@@ -33,9 +33,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
 
-    source = config.inputs.run
-    if source is None:
-        raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
+    source = config.run
     film = folder / "eval.mp4"
     if config.eval.video:
         from koopdqn.view.film import check_film

@@ -36,9 +36,7 @@ _TOGETHER: Final = 10
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Explain a state of the run of ``run=``; write ``explain.json`` and ``explain.png``."""
-    source = config.inputs.run
-    if source is None:
-        raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
+    source = config.run
     if config.inputs.actions != "table1":
         raise BadInputError(f"actions: explain tells of the ten actions of Table 1, found {config.inputs.actions}")
     trained = read_trained(config, source)

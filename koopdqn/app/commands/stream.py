@@ -29,9 +29,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         BadInputError: ``run=`` is missing, the arm is no UR, the start breaks a rule, or no key could stop the arm.
         WorkFailedError: there is no program that keeps every limit, or the arm is not where it starts.
     """
-    settings, trained = config.stream, config.inputs.run
-    if trained is None:
-        raise BadInputError("run: must name the run whose path is streamed, found none")
+    settings, trained = config.stream, config.run
     if not isinstance(config.robot, URArm):
         raise BadInputError(f"robot: must be of the UR family to stream to its controller, found {config.robot.name}")
     own, period = _E_SERIES_S if config.robot.name.endswith("e") else _CB_SERIES_S, config.program.period_s
