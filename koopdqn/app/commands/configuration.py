@@ -90,7 +90,7 @@ class Configuration:
     def run(self) -> Path:
         """The folder of the trained run to look at; BadInputError if none is named."""
         if self.inputs.run is None:
-            raise BadInputError("run: must name a trained run, found none: first `koopdqn train`")
+            raise BadInputError("run: must name the run to look at (run=DIR), found none")
         return self.inputs.run
 
     @property

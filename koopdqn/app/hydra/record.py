@@ -25,20 +25,8 @@ SECTIONS: Final = (
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
 """The root's keys that hold values."""
 PATH_NAMES: Final = (
-    *(
-        "out",
-        "run",
-        "demos",
-        "intent_file",
-        "journal",
-        "questions",
-        "answers",
-        "runs",
-        "sweep",
-        "video",
-        "path",
-        "file",
-    ),
+    *("out", "run", "demos", "intent_file", "journal", "questions", "answers"),
+    *("runs", "sweep", "video", "path", "file"),
 )
 """The last part of every key whose value is a path."""
 
