@@ -1,9 +1,8 @@
 """Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
 
 import functools
-import importlib.util
+import importlib
 import inspect
-import sys
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -186,37 +185,10 @@ def _to_path(value: object) -> object:
     return value
 
 
-def _to_sources(value: object) -> object:
-    values = value if isinstance(value, list | tuple) else [value]
-    if not values or not all(isinstance(each, str) and each.strip() for each in values):
-        raise ValueError("must be a path or a glob, or a list of them in brackets")
-    return tuple(values)
-
-
-def _to_modules(value: object) -> object:
-    values = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
-    if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
-        raise ValueError("must be the dotted name of a module, or a list of them in brackets")
-    for each in values:
-        if not _can_be_found(each):
-            raise ValueError(
-                f"must name modules that can be found, found none called {each}; the folder it lies in must be on"
-                " PYTHONPATH"
-            )
-    return tuple(values)
-
-
 def _in_metres(values: tuple[float, float, float]) -> tuple[float, float, float]:
     if max(map(abs, values)) > FARTHEST_M:
         raise ValueError(f"must be in metres and within {FARTHEST_M:g} m")
     return values
-
-
-def _can_be_found(module: Any) -> bool:
-    try:
-        return module in sys.modules or importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
 
 
 Positive = Annotated[float, Field(gt=0)]
@@ -233,8 +205,6 @@ Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
 PathText = Annotated[Path, BeforeValidator(_to_path)]
 """A path, written as a text that is not empty; it need not exist."""
-Sources = Annotated[tuple[str, ...], BeforeValidator(_to_sources)]
-"""Paths or globs, one as a text or several as a YAML list; they need not match anything."""
 Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 numbers", 2))]
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
@@ -251,8 +221,6 @@ Vector7 = Annotated[
 """Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
 Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("a list of numbers"))]
 """Any number of numbers, as a YAML list."""
-Modules = Annotated[tuple[Name, ...], BeforeValidator(_to_modules)]
-"""Dotted names of modules, one as a text or several as a YAML list."""
 Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("a list of whole numbers"))]
 """Any number of whole numbers above 0, as a YAML list (layer widths)."""
 Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("a list of texts"))]
