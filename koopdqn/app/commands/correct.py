@@ -14,7 +14,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
-from koopdqn.app.correcting.screen import CorrectingScreen, check_keyboard
+from koopdqn.app.correcting.screen import CorrectingScreen
 from koopdqn.app.correcting.showing import Showing
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError
@@ -22,6 +22,7 @@ from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_fr
 from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
+from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.policy import Policy, read_policy, write_corrected
@@ -83,7 +84,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     """
     began, source, given = monotonic(), config.run, config.correct.waypoints
     if given is None:
-        check_keyboard()
+        require_terminal("waypoints", "give waypoints=[[x,y,z],…] or waypoints=FILE")
     learned = _Learned.read(config, source)
     seconds = monotonic() - began
     made = _shown(learned, source, folder) if given is None else learned.corrected(np.array(given))

@@ -22,6 +22,7 @@ from koopdqn.demonstrations.preprocess import trim_idle_each
 from koopdqn.demonstrations.reading import read_demonstrations, read_files, together
 from koopdqn.demonstrations.recordings.load import Loaded
 from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.oracles.terminal.device import check_graphics, require_terminal
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.tasks.workcell import Workcell
@@ -49,14 +50,16 @@ def demo(config: Configuration, folder: Path) -> CommandResult:
 
 
 def _recorded(config: Configuration, folder: Path) -> CommandResult:
-    from koopdqn.app.recording.screen import RecordingScreen, check_keyboard
+    from koopdqn.app.recording.screen import RecordingScreen
     from koopdqn.app.recording.session import Recording
 
-    check_keyboard(config.demo.keyboard.graphics)
+    graphics = config.demo.keyboard.graphics
+    require_terminal("source=keyboard", "use source=scripted, or koopdqn import demos=FILE for demonstrations of yours")
+    check_graphics(graphics, "demo.keyboard.graphics")
     workcell = pipeline.open_scene(config)
     path = folder / DEMONSTRATIONS
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
-        RecordingScreen(recording, workcell, config.demo.keyboard.graphics, console.shown_path(path)).run()
+        RecordingScreen(recording, workcell, graphics, console.shown_path(path)).run()
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
     goes_on = f"koopdqn demo run={console.shown_path(folder)} goes on"
     if demonstrations is None:
