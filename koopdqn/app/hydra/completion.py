@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import PATH_KEYS, literal
 from koopdqn.resources import conf_dir
 
@@ -51,8 +52,6 @@ def _is_open(word: str) -> bool:
 
 
 def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Iterator[str]:
-    from hydra import initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
     from omegaconf import OmegaConf
 
     prefix = start[: len(start) - len(start.lstrip("+~"))]
@@ -60,37 +59,21 @@ def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Ite
     if equals and key in _FILE_KEYS:
         yield from (f"{prefix}{key}={path}" for path in _paths(value))
     user_dir = Path(config_dir).absolute() if config_dir else None
-    GlobalHydra.instance().clear()
-    for folder in [conf_dir(), user_dir]:
-        if folder is not None and folder.is_dir():
-            with initialize_config_dir(str(folder), version_base="1.3"):
-                yield from (prefix + item for item in _group_options())
+    for folder in (conf_dir(), user_dir):
+        options = folder.glob("*/*.yaml") if folder else ()
+        yield from (f"{prefix}{each.parent.name}={each.stem}" for each in options if each.parent.name != "hydra")
     if not prefix.startswith("~"):
-        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-            content = OmegaConf.to_container(_composed(typed, user_dir), resolve=False)
-            yield from (prefix + item for item in _leaves(content, "", nested="." in key))
-
-
-def _group_options() -> Iterator[str]:
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.object_type import ObjectType
-
-    loader = GlobalHydra.instance().config_loader()
-    for group in loader.list_groups(""):
-        if group != "hydra":
-            for option in loader.get_group_options(group, ObjectType.CONFIG):
-                yield f"{group}={option}"
+        content = OmegaConf.to_container(_composed(typed, user_dir), resolve=False)
+        yield from (prefix + item for item in _leaves(content, "", nested="." in key))
 
 
 def _composed(typed: Sequence[str], user_dir: Path | None) -> "DictConfig":
-    from hydra import compose
-
     search = [f"hydra.searchpath=[{literal(f'file://{user_dir}')}]"] if user_dir else []
     try:
-        return compose("config", overrides=[*search, *typed])
+        return composed([*search, *typed])
     # an override still being typed, or wrong, must not take the completion of the others away
     except Exception:
-        return compose("config")
+        return composed([])
 
 
 def _leaves(content: Any, parent: str, *, nested: bool) -> Iterator[str]:
