@@ -65,12 +65,11 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
         looked_at = ("eval", "explain", "compare", "export", "stream", "view", "correct")
-        measured = settings.inputs.run if command in looked_at else None
-        if command in ("fit", "train", "eval", "explain", "compare", "correct") or measured is not None:
-            # The run that these read holds its demonstrations; the others keep them in their own folder.
-            settings = with_task(settings, measured or folder, keep=measured is None)
-        if measured is not None:
-            settings = as_trained(settings, measured)
+        if command in looked_at and settings.inputs.run is not None:
+            settings = as_trained(with_task(settings, settings.inputs.run, keep=False), settings.inputs.run)
+        elif command in ("fit", "train"):
+            # These keep the demonstrations in their own folder.
+            settings = with_task(settings, folder, keep=True)
         module, _, function = place.partition(".")
         result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result
