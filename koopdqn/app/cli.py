@@ -14,7 +14,7 @@ import typer
 
 from koopdqn import __version__, console
 from koopdqn.app.exit_status import guard, let_go_of_closed_streams, open_missing_streams
-from koopdqn.app.feedback import feedback_app
+from koopdqn.app.feedback import Debug, feedback_app
 from koopdqn.errors import BadInputError
 
 _COMMANDS = {
@@ -169,7 +169,6 @@ _OVERRIDES: Final = typer.Argument(
     show_default=False,
 )
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON to standard output and nothing else.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 _OWN_OPTIONS: Final = (
     _parameter("overrides", list[str] | None, None, _OVERRIDES),
     Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=AsJson),

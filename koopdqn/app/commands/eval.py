@@ -15,7 +15,9 @@ from koopdqn.app.hydra.application import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.evaluate import Evaluation, evaluate, work_units
 from koopdqn.evaluation.results import EVALUATION
+from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import sha256_of, write_json
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
@@ -23,13 +25,9 @@ from koopdqn.tasks.workcell import Workcell
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from koopdqn.evaluation.evaluate import Evaluation
-
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
-    from koopdqn.evaluation.evaluate import evaluate, work_units
-    from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
 
@@ -108,7 +106,7 @@ def near_person(near: dict[str, Any]) -> str:
 
 
 def _film(
-    path: Path, workcell: Workcell, demonstrations: Demonstrations, drawn: Episode, evaluation: "Evaluation"
+    path: Path, workcell: Workcell, demonstrations: Demonstrations, drawn: Episode, evaluation: Evaluation
 ) -> None:
     """Write a film of an episode beside the demonstration that begins nearest to it."""
     from koopdqn.view.motions import demonstrated_motions, learned_motion
