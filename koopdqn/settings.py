@@ -166,12 +166,12 @@ class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
 
 
-def _listed(rule: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
-    """Return a validator that turns a YAML list into a tuple of that length."""
+def _listed(items: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
+    """Return a validator that turns a YAML list of these items into a tuple of that length."""
 
     def to_tuple(value: object) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple) or (length is not None and len(value) != length):
-            raise ValueError(f"must be {rule}")
+            raise ValueError(f"must be a list of {items if length is None else f'{length} {items}'}")
         return tuple(value)
 
     return to_tuple
@@ -205,25 +205,23 @@ Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
 PathText = Annotated[Path, BeforeValidator(_to_path)]
 """A path, written as a text that is not empty; it need not exist."""
-Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 numbers", 2))]
+Interval = Annotated[tuple[float, float], BeforeValidator(_listed("numbers", 2))]
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
-Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
+Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("numbers", 3))]
 """Three numbers, as a YAML list."""
 Metres3 = Annotated[Vector3, AfterValidator(_in_metres)]
 """Three lengths [m], as a YAML list, such as a position; what can only be millimetres is refused."""
-Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("a list of 4 numbers", 4))]
+Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("numbers", 4))]
 """Four numbers, as a YAML list."""
-Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("a list of 6 numbers", 6))]
+Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("numbers", 6))]
 """Six numbers, as a YAML list."""
-Vector7 = Annotated[
-    tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("a list of 7 numbers", 7))
-]
+Vector7 = Annotated[tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("numbers", 7))]
 """Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
-Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("a list of numbers"))]
+Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("numbers"))]
 """Any number of numbers, as a YAML list."""
-Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("a list of whole numbers"))]
+Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("whole numbers"))]
 """Any number of whole numbers above 0, as a YAML list (layer widths)."""
-Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("a list of texts"))]
+Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("texts"))]
 """Any number of texts, as a YAML list."""
 
 
