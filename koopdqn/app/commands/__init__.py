@@ -22,7 +22,7 @@ _COMMANDS: Final = {
     "import": ("demonstrations.import_", ("run", "intent_file")),
     "inspect": ("inspection.inspect", ("run", "intent_file")),
     "export": ("demonstrations.export", ("intent_file",)),
-    "stream": ("stream.run", ("demos", "intent_file")),
+    "stream": ("program.stream_path", ("demos", "intent_file")),
 }
 """Where each command is, and the inputs of others that would change nothing here."""
 
