@@ -14,9 +14,9 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
-from koopdqn.app.correcting.screen import CorrectingScreen
-from koopdqn.app.correcting.showing import Showing
 from koopdqn.app.hydra.application import CommandResult
+from koopdqn.app.recording.correcting import CorrectingScreen
+from koopdqn.app.recording.showing import Showing
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
 from koopdqn.evaluation.results import TRAINING

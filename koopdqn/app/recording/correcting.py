@@ -10,8 +10,8 @@ from rich.style import Style
 from rich.text import Text
 
 from koopdqn import pose
-from koopdqn.app.correcting.showing import NOT_ADDED, REFUSED, Showing
 from koopdqn.app.recording.screen import START, pair, row, status_lines
+from koopdqn.app.recording.showing import NOT_ADDED, REFUSED, Showing
 from koopdqn.console import counted
 from koopdqn.errors import KoopdqnError
 from koopdqn.oracles.base import PauseRequested
