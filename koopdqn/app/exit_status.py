@@ -48,9 +48,7 @@ def let_go_of_closed_streams() -> None:
 def guard(work: Callable[[], int], *, debug: bool) -> int:
     """Run ``work`` and return its exit status; an error becomes one line on standard error and its status.
 
-    Args:
-        work: returns an exit status.
-        debug: whether to print the traceback of an error first.
+    With ``debug`` the traceback of an error is printed first.
     """
     received: list[int] = []
     try:

@@ -218,11 +218,7 @@ def reward_of(
 ) -> IntentReward:
     """Return the reward function (Eqs. 15, 16) of an intent, bent around obstacles of the task.
 
-    Args:
-        config: gives the task, the settings and the kind of actions.
-        workcell: task, arm and scene.
-        intent: the fitted intent.
-        trajectories: demonstrated poses (N, 7).
+    ``trajectories`` are demonstrated poses (N, 7) at the agent's step.
 
     Raises:
         BadInputError: obstacles leave no way.

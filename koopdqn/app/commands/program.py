@@ -44,12 +44,7 @@ _CB_SERIES_S, _E_SERIES_S, _SAME_PERIOD = 0.008, 0.002, 1e-6
 
 
 def export_program(config: Configuration, run: Path, folder: Path) -> CommandResult:
-    """Write the program of the policy in a run's folder and ``program.json``.
-
-    Raises:
-        BadInputError: the run holds no policy of this task, or the start breaks a rule.
-        WorkFailedError: there is no program that keeps every limit and touches nothing.
-    """
+    """Write the program of the policy in a run's folder (:func:`program_of`) and ``program.json``."""
     settings = config.program
     _check_formats(config)
     program, scene = program_of(config, run)

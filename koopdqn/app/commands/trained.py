@@ -119,7 +119,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     if not task.obstacles:
         # They may be added to any task.
         task = task.model_copy(update={"obstacles": config.task.obstacles})
-    trained = {"task": task, "robot": robot, "reward": reward}
+    trained: dict[str, Any] = {"task": task, "robot": robot, "reward": reward}
     changed = [name for name, each in trained.items() if described(each) != described(getattr(config, name))]
     if not changed:
         return config
@@ -135,11 +135,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     elif "task" in own and config.derived is not None and isinstance(task, DemonstratedTask):
         task = task.showing(agent_steps(config.derived.training, task))
         config = replace(config, derived=replace(config.derived, task=task))
-    return replace(
-        config,
-        robot=robot if "robot" in own else config.robot,
-        reward=reward if "reward" in own else config.reward,
-    )
+    return replace(config, **{name: trained[name] for name in own if name != "task"})
 
 
 def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:

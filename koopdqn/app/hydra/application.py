@@ -60,7 +60,7 @@ class Job:
         outcomes: folder that receives each job's outcome as ``<number>.json``.
         as_json: whether the result is kept for ``--json`` instead of being printed for people.
         continues: whether the run folder holds an earlier part of the same run.
-        work: what the command does with a composed config in its run folder; workers import it by its name.
+        work: workers import it by its name.
     """
 
     command: str
@@ -118,16 +118,9 @@ def run(
 ) -> int:
     """Run a command under Hydra and return its exit status: the worst one of a sweep.
 
-    Args:
-        command: name of the subcommand.
-        options: options of Hydra's own command line (``["--multirun"]``).
-        overrides: the prepared overrides.
-        work: what the command does with a composed config in its run folder.
-        as_json: print the result to standard output as JSON (a line a job in a sweep), nothing else there.
-        continues: whether the run folder holds an earlier part of the same run.
-
-    Raises:
-        Exception: whatever composing or the job raises, unchanged.
+    ``options`` are Hydra's own (``["--multirun"]``), ``overrides`` are prepared. With ``as_json`` the result goes to
+    standard output as JSON (a line a job in a sweep), and nothing else does. What composing or the job raises is passed
+    on unchanged.
     """
     with tempfile.TemporaryDirectory(prefix="koopdqn-") as outcomes:
         job = Job(command, Path(outcomes), as_json, continues, work)

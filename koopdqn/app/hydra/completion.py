@@ -18,12 +18,7 @@ def complete(words: Sequence[str], incomplete: str, config_dir: str | None = Non
     """Return what may stand in place of ``incomplete``; nothing, rather than an error, if anything fails.
 
     Bash splits words at ``=`` and asks for the part behind it only; other shells give whole words. Both
-    are understood.
-
-    Args:
-        words: the overrides already typed.
-        incomplete: the word at the cursor.
-        config_dir: the user's own config folder (``--config-dir``), or None.
+    are understood. ``words`` are the overrides already typed, ``config_dir`` is the user's own config folder.
     """
     try:
         typed = _rejoined(words)

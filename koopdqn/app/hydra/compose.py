@@ -22,14 +22,9 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     """Return the config tree under overrides, in Hydra's grammar.
 
     Within a command it is composed from where the command's own config came from, so that a user's own config
-    folder takes part. Another program's own use of Hydra is left as it was.
-
-    Args:
-        overrides: as on the command line.
-        replaced: top-level keys put in place of the composed ones; what refers to them by ``${…}`` follows.
-
-    Raises:
-        Exception: whatever Hydra raises for an override that it refuses.
+    folder takes part. Another program's own use of Hydra is left as it was, and what Hydra raises for an override that
+    it refuses is passed on. The top-level keys ``replaced`` are put in place of the composed ones; what refers to them
+    by ``${…}`` follows.
     """
     from hydra import compose
     from omegaconf import OmegaConf

@@ -28,11 +28,8 @@ def register_resolver(*, check: bool) -> None:
 
     Hydra asks for the run folder before it writes there, so that this is the moment to look: OmegaConf
     keeps what a resolver first returned, and the later requests of the same run (when the folder has
-    begun to fill) see that.
-
-    Args:
-        check: whether to refuse a folder that holds something, and to take a free one for good; a config that
-            is only shown need not.
+    begun to fill) see that. Only with ``check`` is a folder that holds something refused, and a free one taken for
+    good: a config that is only shown needs neither.
     """
     from omegaconf import OmegaConf
 
@@ -54,14 +51,9 @@ def ensure_resolver() -> None:
 
 
 def require_new(folder: Path, ignore: str = "") -> None:
-    """Raise unless a run folder is absent, empty, or holds hidden files or what a refused sweep leaves, and no more.
+    """Raise BadInputError unless a run folder is absent, empty, or holds hidden files or what a refused sweep leaves.
 
-    Args:
-        folder: the run folder.
-        ignore: name of a file that may be there, such as the log that Hydra opens first.
-
-    Raises:
-        BadInputError: the folder holds something.
+    The file ``ignore`` may be there too, such as the log that Hydra opens first.
     """
     if not folder.is_dir():
         return
@@ -72,11 +64,7 @@ def require_new(folder: Path, ignore: str = "") -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """Make a folder and its parents, and raise unless files can be made in it.
-
-    Raises:
-        BadInputError: the folder cannot be made, or is read-only.
-    """
+    """Make a folder and its parents; raise BadInputError if that fails or no files can be made in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

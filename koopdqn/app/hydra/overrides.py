@@ -185,15 +185,15 @@ def _check_compared(prepared: Sequence[str]) -> None:
             )
 
 
-def newest_trained_run(below: Path = Path("runs")) -> Path:
-    """Return the folder of the newest finished training run below a folder.
+def newest_trained_run() -> Path:
+    """Return the folder of the newest finished training run below ``runs/``.
 
     Raises:
         BadInputError: there is none.
     """
-    finished = [path for path in below.rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
+    finished = [path for path in Path("runs").rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
     if not finished:
-        raise BadInputError(f"run: must name a trained run, found none given and none below {below}/; train one first")
+        raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 

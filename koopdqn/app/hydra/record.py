@@ -69,11 +69,7 @@ class Recorded:
 
 
 def read_record(folder: Path, what: str) -> list[Recorded]:
-    """Return the overrides that a run folder was begun with, less those that are for the present command to say.
-
-    Args:
-        folder: the run folder.
-        what: of what it must be, for messages: "a training run".
+    """Return the overrides that a run folder was begun with; messages say of ``what`` it must be ("a training run").
 
     Raises:
         BadInputError: the folder holds links, there is no record, it is no plain list of overrides, or one of them is
@@ -96,6 +92,8 @@ def check_record(
     recorded: Iterable[Recorded], folder: Path, trusted: Sequence[str], replaced: Collection[str]
 ) -> list[str]:
     """Return recorded overrides that are safe to apply, in Hydra's grammar.
+
+    Those that are for the present command to say are left out.
 
     Args:
         recorded: the overrides.
