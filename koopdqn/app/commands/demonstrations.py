@@ -44,9 +44,9 @@ def demo(config: Configuration, folder: Path) -> CommandResult:
             f" found source={config.demo.source} in {str(config.inputs.run)!r}"
         )
     workcell = pipeline.open_scene(config)
-    demonstrations, redrawn = pipeline.new_demonstrations(config, workcell)
-    write_hdf5(folder / DEMONSTRATIONS, demonstrations)
-    return _drawn(config, folder, workcell, demonstrations, {"redrawn": redrawn})
+    made = pipeline.new_demonstrations(config, workcell)
+    write_hdf5(folder / DEMONSTRATIONS, made.demonstrations)
+    return _drawn(config, folder, workcell, made.demonstrations, {"redrawn": made.redrawn})
 
 
 def _recorded(config: Configuration, folder: Path) -> CommandResult:

@@ -59,7 +59,7 @@ def demonstrations_for(config: Configuration, workcell: Workcell, folder: Path) 
     if sources:
         demonstrations = demonstrations_read(config, sources)
     else:
-        demonstrations, _ = new_demonstrations(config, workcell)
+        demonstrations = new_demonstrations(config, workcell).demonstrations
     check_kept(kept, demonstrations, sources)
     if not kept.exists():
         write_hdf5(kept, demonstrations)
@@ -73,7 +73,13 @@ def demonstrations_read(config: Configuration, sources: Sequence[str]) -> Demons
         BadInputError: a file is damaged or of another task, or the arm cannot reach all of it.
     """
     demonstrations = read_demonstrations(sources, config.task.name, config.robot, declared=declared(config))
-    _check_reach(config, demonstrations)
+    for index, poses in enumerate(agent_steps(demonstrations, config.task)):
+        lost = np.isnan(config.robot.inverse_batch(poses, np.tile(config.robot.home, (len(poses), 1)))).any(axis=1)
+        if lost.any():
+            raise BadInputError(
+                f"demos: demonstration {index} must stay within the arm's reach, found"
+                f" {np.round(poses[lost.argmax(), POSITION], 3).tolist()} m"
+            )
     return demonstrations
 
 
@@ -100,25 +106,10 @@ def held_out_of(config: Configuration) -> list[Array] | None:
     return agent_steps(replace(config.derived.training, items=aside), config.task) if aside else []
 
 
-def _check_reach(config: Configuration, demonstrations: Demonstrations) -> None:
-    for index, poses in enumerate(agent_steps(demonstrations, config.task)):
-        lost = np.isnan(config.robot.inverse_batch(poses, np.tile(config.robot.home, (len(poses), 1)))).any(axis=1)
-        if lost.any():
-            raise BadInputError(
-                f"demos: demonstration {index} must stay within the arm's reach, found"
-                f" {np.round(poses[lost.argmax(), POSITION], 3).tolist()} m"
-            )
-
-
-def new_demonstrations(config: Configuration, workcell: Workcell) -> tuple[Demonstrations, dict[str, int]]:
-    """Return generated demonstrations and how many draws per reason were drawn again.
-
-    Raises:
-        BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
-    """
+def new_demonstrations(config: Configuration, workcell: Workcell) -> Generated:
+    """Return the scripted person's demonstrations; BadInputError if another is to demonstrate."""
     check_scripted(config)
-    made = generated("Demonstrating", workcell, config.demo, config.inputs.seed)
-    return made.demonstrations, made.redrawn
+    return generated("Demonstrating", workcell, config.demo, config.inputs.seed)
 
 
 def generated(title: str, workcell: Workcell, settings: DemonstrationSettings, seed: int) -> Generated:
@@ -129,11 +120,7 @@ def generated(title: str, workcell: Workcell, settings: DemonstrationSettings, s
 
 
 def check_scripted(config: Configuration) -> None:
-    """Check that demonstrations may be generated.
-
-    Raises:
-        BadInputError: a person is to demonstrate, which ``koopdqn demo`` alone lets them do.
-    """
+    """Raise BadInputError if a person is to demonstrate, which ``koopdqn demo`` alone lets them do."""
     if config.demo.source != "scripted":
         raise BadInputError(
             "demo.source: must be scripted where demonstrations are made by themselves, found"
