@@ -48,7 +48,9 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
     read = replace(read, held_out=recipe.kept_of(len(read)))
     derived = recipe.derive(read, continuous=config.agent.continuous)
     if recipe.place == "auto" and read.placement is None:
-        read, derived = _placed(config, recipe, read, derived)
+        trajectories = [*derived.task.trajectories, *_held_out_as_task(derived)]
+        read = find_placement(_arm_in(config, derived.task), trajectories).moved(read)
+        derived = recipe.derive(read, continuous=config.agent.continuous)
     if read.placement is not None:
         console.note(f"task {recipe.name}: demonstrations {read.placement}")
     if kept is not None:
@@ -73,15 +75,6 @@ def _sound(recipe: Derivation, read: Demonstrations) -> Demonstrations:
     return replace(read, items=sound)
 
 
-def _placed(
-    config: Configuration, recipe: Derivation, read: Demonstrations, derived: Derived
-) -> tuple[Demonstrations, Derived]:
-    """Return demonstrations moved to where the arm can follow them, and the task made from them."""
-    task = derived.task
-    moved = find_placement(_arm_in(config, task), [*task.trajectories, *_held_out_as_task(derived)]).moved(read)
-    return moved, recipe.derive(moved, continuous=config.agent.continuous)
-
-
 def _held_out_as_task(derived: Derived) -> list[Array]:
     """Return the held-out demonstrations, poses (N, 7) at the agent's step, oriented as the task's own."""
     if not derived.held_out:
@@ -93,15 +86,13 @@ def _held_out_as_task(derived: Derived) -> list[Array]:
 def _check_followed(config: Configuration, derived: Derived) -> None:
     task = derived.task
     reachability = _arm_in(config, task)
-    for index, poses in enumerate(task.trajectories):
+    for index, poses in enumerate([*task.trajectories, *_held_out_as_task(derived)]):
         blocked = blocked_at(reachability, poses)
-        if blocked:
+        if blocked and index < len(task.trajectories):
             raise BadInputError(
                 f"demos: the arm must be able to follow every demonstration, found demonstration {index} stopped after"
                 f" {blocked}; demos.place=auto moves all of them to where it can"
             )
-    for index, poses in enumerate(_held_out_as_task(derived), len(task.trajectories)):
-        blocked = blocked_at(reachability, poses)
         if blocked:
             console.note(
                 f"task {task.name}: the arm cannot follow demonstration {index}, kept for evaluation, stopped after"
