@@ -40,7 +40,7 @@ def describe(error: ValidationError, content: Mapping[str, Any], model: type[Bas
         error: what building ``model`` from ``content`` raised.
         content: the config that was refused.
         model: the settings class.
-        where: dotted key of ``content``; "" for the root of the config.
+        where: as of :func:`plain`.
     """
     errors = error.errors(include_url=False)
     # an unknown key is often a misspelling of one then reported missing, so it is the better line
@@ -253,12 +253,7 @@ def plain(node: Mapping[Any, Any] | None, where: str = "") -> dict[str, Any]:
 
 
 def validate(node: Mapping[Any, Any] | None, model: type[Model], where: str = "") -> Model:
-    """Return ``model`` built from a config node.
-
-    Args:
-        node: an OmegaConf node, or any mapping.
-        model: the settings class.
-        where: dotted key of the node, for messages; "" for the root.
+    """Return ``model`` built from a config node; ``node`` and ``where`` are as of :func:`plain`.
 
     Raises:
         BadInputError: in one line, the dotted key, the rule and the value found; an unknown key lists
@@ -287,17 +282,17 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
             other keys break a rule (see `validate`).
     """
     content = plain(node, where)
+    rule = f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found"
     if TARGET not in content:
         hint = f" (_target_ is written {TARGET} here)" if "_target_" in content else ""
-        text = f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing{hint}"
-        raise BadInputError(text)
+        raise BadInputError(f"{rule} nothing{hint}")
     cls = _locate(content.pop(TARGET), where)
-    found = f"found {_full_name(cls)}"
+    found = _full_name(cls)
     # a protocol with data members is only decided on an instance, below
     if not getattr(base, "_is_protocol", False) and not issubclass(cls, base):
-        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+        raise BadInputError(f"{rule} {found}")
     if not issubclass(cls, BaseModel):
-        raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
+        raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, found {found}")
     missing = sorted(getattr(cls, "__abstractmethods__", ()))
     if not missing:
         settings = validate(content, cls, where)
@@ -305,8 +300,7 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
             return settings
         parts = [*vars(base), *inspect.get_annotations(base)]
         missing = [name for name in parts if not name.startswith("_") and not hasattr(settings, name)]
-    found += f" without {', '.join(missing)}"
-    raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+    raise BadInputError(f"{rule} {found} without {', '.join(missing)}")
 
 
 # Where classes were that runs of earlier commits name: they can still be evaluated.
