@@ -33,24 +33,6 @@ try:
 except PackageNotFoundError:  # a bare checkout on PYTHONPATH
     __version__ = "0+unknown"
 
-_PLACES = {
-    "koopdqn.app.api": (
-        "Trained",
-        "evaluate",
-        "fit",
-        "generate",
-        "intent_reward",
-        "load_config",
-        "make_env",
-        "open_workcell",
-        "train",
-    ),
-    "koopdqn.demonstrations.reading": ("read_demonstrations",),
-    "koopdqn.intent.reward": ("IntentReward",),
-    "koopdqn.rl.policy": ("Policy", "read_policy"),
-}
-_PLACE_OF = {name: place for place, names in _PLACES.items() for name in names}
-
 __all__ = [
     "IntentReward",
     "Policy",
@@ -69,11 +51,20 @@ __all__ = [
 ]
 
 
+_ELSEWHERE = {
+    "IntentReward": "koopdqn.intent.reward",
+    "Policy": "koopdqn.rl.policy",
+    "read_demonstrations": "koopdqn.demonstrations.reading",
+    "read_policy": "koopdqn.rl.policy",
+}
+"""Where the names are that are not in koopdqn.app.api."""
+
+
 def __getattr__(name: str) -> Any:
     """Import a name of the API when it is first used."""
-    if name not in _PLACE_OF:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_PLACE_OF[name]), name)
+    value = getattr(import_module(_ELSEWHERE.get(name, "koopdqn.app.api")), name)
     globals()[name] = value
     return value
 

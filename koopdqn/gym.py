@@ -2,7 +2,7 @@
 
 ``gymnasium.make("koopdqn/Shelf-v0")``, ``"koopdqn/Knife-v0"`` and ``"koopdqn/Demonstrated-v0"``, each also with
 continuous actions, as ``"koopdqn/ShelfContinuous-v0"``, and ``gymnasium.make_vec`` of the same names for many episodes
-at once. All take the keywords of :func:`make`.
+at once. All take the keywords of :func:`environment_parts`, and ``render_mode``.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from koopdqn.app.commands.configuration import Configuration
     from koopdqn.demonstrations.dataset import Demonstrations
     from koopdqn.envs.batch import EnvironmentParts
-    from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv
+    from koopdqn.envs.gym import KoopmanEnv, KoopmanVectorEnv, RenderMode
     from koopdqn.intent.fit import Fitted
     from koopdqn.oracles.base import Oracle
 
@@ -39,7 +39,29 @@ for _name, _task in TASKS.items():
         )
 
 
-def make(
+def make(task: str, *, render_mode: "RenderMode | None" = None, **parts: Any) -> "KoopmanEnv":
+    """Return the environment of one episode at a time; ``parts`` are the keywords of :func:`environment_parts`.
+
+    Raises:
+        BadInputError: an override or file cannot be used, or ``render_mode`` is neither ``rgb_array`` nor ``human``.
+    """
+    from koopdqn.envs.gym import KoopmanEnv
+
+    return KoopmanEnv(environment_parts(task, **parts), render_mode)
+
+
+def make_vector(num_envs: int, task: str, **keywords: Any) -> "KoopmanVectorEnv":
+    """Return the environment of ``num_envs`` episodes at once; see :func:`make`.
+
+    ``keywords`` may hold ``autoreset_mode`` too, and ``render_mode`` is ``rgb_array`` only.
+    """
+    from koopdqn.envs.gym import KoopmanVectorEnv
+
+    own = {name: keywords.pop(name) for name in ("autoreset_mode", "render_mode") if name in keywords}
+    return KoopmanVectorEnv(environment_parts(task, **keywords), num_envs, **own)
+
+
+def environment_parts(
     task: str,
     overrides: str | Sequence[str] = (),
     demonstrations: str | Path | Sequence[str | Path] | None = None,
@@ -47,9 +69,8 @@ def make(
     config_dir: str | Path | None = None,
     actions: str = "table1",
     exploring_starts: bool = False,
-    **keywords: Any,
-) -> "KoopmanEnv":
-    """Return the environment of one episode at a time.
+) -> "EnvironmentParts":
+    """Return what the environment of a task consists of.
 
     Demonstrations are read, or generated, and the intent is fitted to them; within a process each is made once.
 
@@ -62,49 +83,10 @@ def make(
         actions: ``table1`` or ``continuous``.
         exploring_starts: whether episodes begin as in koopdqn's own training: most of them short, in and around the
             start region or along a demonstration, as the config's ``agent.exploring_…`` say.
-        keywords: ``render_mode``, which is ``rgb_array`` or ``human``.
 
     Raises:
-        BadInputError: an override or file cannot be used, or ``render_mode`` is none.
+        BadInputError: an override or file cannot be used.
     """
-    from koopdqn.envs.gym import KoopmanEnv
-
-    return KoopmanEnv(
-        environment_parts(task, overrides, demonstrations, oracle, config_dir, actions, exploring_starts), **keywords
-    )
-
-
-def make_vector(
-    num_envs: int,
-    task: str,
-    overrides: str | Sequence[str] = (),
-    demonstrations: str | Path | Sequence[str | Path] | None = None,
-    oracle: "Oracle | None" = None,
-    config_dir: str | Path | None = None,
-    actions: str = "table1",
-    exploring_starts: bool = False,
-    **keywords: Any,
-) -> "KoopmanVectorEnv":
-    """Return the environment of ``num_envs`` episodes at once; see :func:`make`.
-
-    ``keywords`` may hold ``autoreset_mode`` too, and ``render_mode`` is ``rgb_array`` only.
-    """
-    from koopdqn.envs.gym import KoopmanVectorEnv
-
-    parts = environment_parts(task, overrides, demonstrations, oracle, config_dir, actions, exploring_starts)
-    return KoopmanVectorEnv(parts, num_envs, **keywords)
-
-
-def environment_parts(
-    task: str,
-    overrides: str | Sequence[str] = (),
-    demonstrations: str | Path | Sequence[str | Path] | None = None,
-    oracle: "Oracle | None" = None,
-    config_dir: str | Path | None = None,
-    actions: str = "table1",
-    exploring_starts: bool = False,
-) -> "EnvironmentParts":
-    """Return what the environment of a task consists of; see :func:`make`."""
     from koopdqn.app import api
 
     more = [overrides] if isinstance(overrides, str) else overrides

@@ -1,9 +1,8 @@
 """Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
 
 import functools
-import importlib.util
+import importlib
 import inspect
-import sys
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -41,7 +40,7 @@ def describe(error: ValidationError, content: Mapping[str, Any], model: type[Bas
         error: what building ``model`` from ``content`` raised.
         content: the config that was refused.
         model: the settings class.
-        where: dotted key of ``content``; "" for the root of the config.
+        where: as of :func:`plain`.
     """
     errors = error.errors(include_url=False)
     # an unknown key is often a misspelling of one then reported missing, so it is the better line
@@ -167,12 +166,12 @@ class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
 
 
-def _listed(rule: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
-    """Return a validator that turns a YAML list into a tuple of that length."""
+def _listed(items: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
+    """Return a validator that turns a YAML list of these items into a tuple of that length."""
 
     def to_tuple(value: object) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple) or (length is not None and len(value) != length):
-            raise ValueError(f"must be {rule}")
+            raise ValueError(f"must be a list of {items if length is None else f'{length} {items}'}")
         return tuple(value)
 
     return to_tuple
@@ -186,37 +185,10 @@ def _to_path(value: object) -> object:
     return value
 
 
-def _to_sources(value: object) -> object:
-    values = value if isinstance(value, list | tuple) else [value]
-    if not values or not all(isinstance(each, str) and each.strip() for each in values):
-        raise ValueError("must be a path or a glob, or a list of them in brackets")
-    return tuple(values)
-
-
-def _to_modules(value: object) -> object:
-    values = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
-    if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
-        raise ValueError("must be the dotted name of a module, or a list of them in brackets")
-    for each in values:
-        if not _can_be_found(each):
-            raise ValueError(
-                f"must name modules that can be found, found none called {each}; the folder it lies in must be on"
-                " PYTHONPATH"
-            )
-    return tuple(values)
-
-
 def _in_metres(values: tuple[float, float, float]) -> tuple[float, float, float]:
     if max(map(abs, values)) > FARTHEST_M:
         raise ValueError(f"must be in metres and within {FARTHEST_M:g} m")
     return values
-
-
-def _can_be_found(module: Any) -> bool:
-    try:
-        return module in sys.modules or importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
 
 
 Positive = Annotated[float, Field(gt=0)]
@@ -233,29 +205,23 @@ Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
 PathText = Annotated[Path, BeforeValidator(_to_path)]
 """A path, written as a text that is not empty; it need not exist."""
-Sources = Annotated[tuple[str, ...], BeforeValidator(_to_sources)]
-"""Paths or globs, one as a text or several as a YAML list; they need not match anything."""
-Interval = Annotated[tuple[float, float], BeforeValidator(_listed("a list of 2 numbers", 2))]
+Interval = Annotated[tuple[float, float], BeforeValidator(_listed("numbers", 2))]
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
-Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("a list of 3 numbers", 3))]
+Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("numbers", 3))]
 """Three numbers, as a YAML list."""
 Metres3 = Annotated[Vector3, AfterValidator(_in_metres)]
 """Three lengths [m], as a YAML list, such as a position; what can only be millimetres is refused."""
-Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("a list of 4 numbers", 4))]
+Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("numbers", 4))]
 """Four numbers, as a YAML list."""
-Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("a list of 6 numbers", 6))]
+Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_listed("numbers", 6))]
 """Six numbers, as a YAML list."""
-Vector7 = Annotated[
-    tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("a list of 7 numbers", 7))
-]
+Vector7 = Annotated[tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("numbers", 7))]
 """Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
-Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("a list of numbers"))]
+Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("numbers"))]
 """Any number of numbers, as a YAML list."""
-Modules = Annotated[tuple[Name, ...], BeforeValidator(_to_modules)]
-"""Dotted names of modules, one as a text or several as a YAML list."""
-Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("a list of whole numbers"))]
+Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("whole numbers"))]
 """Any number of whole numbers above 0, as a YAML list (layer widths)."""
-Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("a list of texts"))]
+Names = Annotated[tuple[Name, ...], BeforeValidator(_listed("texts"))]
 """Any number of texts, as a YAML list."""
 
 
@@ -287,12 +253,7 @@ def plain(node: Mapping[Any, Any] | None, where: str = "") -> dict[str, Any]:
 
 
 def validate(node: Mapping[Any, Any] | None, model: type[Model], where: str = "") -> Model:
-    """Return ``model`` built from a config node.
-
-    Args:
-        node: an OmegaConf node, or any mapping.
-        model: the settings class.
-        where: dotted key of the node, for messages; "" for the root.
+    """Return ``model`` built from a config node; ``node`` and ``where`` are as of :func:`plain`.
 
     Raises:
         BadInputError: in one line, the dotted key, the rule and the value found; an unknown key lists
@@ -321,17 +282,17 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
             other keys break a rule (see `validate`).
     """
     content = plain(node, where)
+    rule = f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found"
     if TARGET not in content:
         hint = f" (_target_ is written {TARGET} here)" if "_target_" in content else ""
-        text = f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, found nothing{hint}"
-        raise BadInputError(text)
+        raise BadInputError(f"{rule} nothing{hint}")
     cls = _locate(content.pop(TARGET), where)
-    found = f"found {_full_name(cls)}"
+    found = _full_name(cls)
     # a protocol with data members is only decided on an instance, below
     if not getattr(base, "_is_protocol", False) and not issubclass(cls, base):
-        raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+        raise BadInputError(f"{rule} {found}")
     if not issubclass(cls, BaseModel):
-        raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, {found}")
+        raise BadInputError(f"{where}.{TARGET}: must name a subclass of {_full_name(Settings)}, found {found}")
     missing = sorted(getattr(cls, "__abstractmethods__", ()))
     if not missing:
         settings = validate(content, cls, where)
@@ -339,8 +300,7 @@ def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> 
             return settings
         parts = [*vars(base), *inspect.get_annotations(base)]
         missing = [name for name in parts if not name.startswith("_") and not hasattr(settings, name)]
-    found += f" without {', '.join(missing)}"
-    raise BadInputError(f"{where}.{TARGET}: must name a class that implements {_full_name(base)}, {found}")
+    raise BadInputError(f"{rule} {found} without {', '.join(missing)}")
 
 
 # Where classes were that runs of earlier commits name: they can still be evaluated.

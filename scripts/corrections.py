@@ -16,7 +16,7 @@ import numpy as np
 from docs import replaced, rows_table
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.trained import step_limit_of
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import WorkFailedError

@@ -22,7 +22,8 @@ from scipy.spatial import KDTree
 from koopdqn import pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.demonstrated import with_task
+from koopdqn.app.commands.trained import as_trained, step_limit_of
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import BadInputError
@@ -78,7 +79,7 @@ class Learned:
     def read(cls, run: Path) -> "Learned":
         """Return a run of ``koopdqn train``."""
         config = Configuration.load(composed(prepare("eval", [f"run={run}", "out=unused"]).overrides))
-        config = pipeline.as_trained(pipeline.with_task(config, run, keep=False), run)
+        config = as_trained(with_task(config, run, keep=False), run)
         policy, _ = read_policy(run / pipeline.POLICY, config.task)
         intent = read_intent(run / pipeline.INTENT, config.task)
         workcell = pipeline.open_scene(config)

@@ -12,7 +12,8 @@ import numpy as np
 from docs import rows_table
 from koopdqn.app.api import load_config
 from koopdqn.app.commands import pipeline
-from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.demonstrated import with_task
+from koopdqn.app.commands.trained import step_limit_of
 from koopdqn.app.hydra.record import check_record, read_record
 from koopdqn.evaluation.dynamics import play
 from koopdqn.evaluation.evaluate import drawn_starts
@@ -99,7 +100,7 @@ def measured(runs: list[Path], paths: int) -> dict[str, Any]:
     found = {}
     for run in runs:
         config = load_config(*check_record(read_record(run, "a training run"), run, (), ()))
-        config = pipeline.with_task(config, run, keep=False)
+        config = with_task(config, run, keep=False)
         workcell = pipeline.open_scene(config)
         policy, _ = read_policy(run / pipeline.POLICY, config.task)
         intent = read_intent(run / pipeline.INTENT, config.task)

@@ -33,7 +33,9 @@ def test_importing_koopdqn_loads_neither_torch_nor_mujoco() -> None:
 
 
 def test_what_reads_recordings_and_settings_loads_neither_torch_nor_mujoco() -> None:
-    code = "import sys, koopdqn.app.commands.importing; print([m for m in ('torch', 'mujoco') if m in sys.modules])"
+    code = (
+        "import sys, koopdqn.app.commands.demonstrations; print([m for m in ('torch', 'mujoco') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from koopdqn import errors, resources
 from koopdqn.app import cli
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError, WorkFailedError
 
 CONFIG = """\
@@ -413,7 +413,7 @@ def run_in_subprocess(
     script = Path("run_koopdqn.py")
     script.write_text(
         "import os, sys, time, types, pathlib\n"
-        "from koopdqn.app.result import CommandResult\n"
+        "from koopdqn.app.hydra.application import CommandResult\n"
         "from koopdqn import resources\n"
         "from koopdqn.app.cli import main\n"
         f"{textwrap.dedent(code)}\n"

@@ -8,8 +8,8 @@ from helpers_shelf import shelf
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from koopdqn.app.correcting.screen import HELP, Shown, compose
-from koopdqn.app.correcting.showing import ADD, BACK, ON, PLAY, Showing
+from koopdqn.app.recording.correcting import HELP, Shown, compose
+from koopdqn.app.recording.showing import ADD, BACK, ON, PLAY, Showing
 from koopdqn.evaluation.correction import MOST_WAYPOINTS, along, read_waypoints
 from koopdqn.pose import POSITION
 from koopdqn.tasks.rollout import SUCCESS, Episode

@@ -15,7 +15,7 @@ from terminal_session import Session, error_without_terminal
 
 from koopdqn.app import cli
 from koopdqn.app.commands.correct import NAME, SHOWN
-from koopdqn.app.correcting.showing import ADD, BACK
+from koopdqn.app.recording.showing import ADD, BACK
 from koopdqn.evaluation.correction import read_waypoints
 
 if sys.platform == "win32":

@@ -144,7 +144,7 @@ def test_a_run_keeps_the_samples_that_it_was_made_from(
 ) -> None:
     short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
     assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)
-    fewer = "koopdqn.app.commands.pipeline.without_outliers"
+    fewer = "koopdqn.app.commands.demonstrated.without_outliers"
     monkeypatch.setattr(fewer, lambda item: replace(item, times=item.times[:-9], poses=item.poses[:-9]))
     assert printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")["episodes"] == 2
 

@@ -15,7 +15,7 @@ from ur_controller import HOST, STOP_SCRIPT, controller
 
 from koopdqn.app import cli
 from koopdqn.app.api import load_config
-from koopdqn.app.commands import stream as command
+from koopdqn.app.commands import program as command
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.hdf5 import write_hdf5
@@ -60,7 +60,7 @@ def test_every_sample_is_sent_in_order_and_time_and_the_arm_is_stopped() -> None
 def test_the_period_is_one_that_the_controller_can_keep(robot: str, period: float, own: float, tmp_path: Path) -> None:
     config = config_of(Path("somewhere"), f"robot={robot}", f"program.period_s={period}")
     with pytest.raises(BadInputError, match=f"must be a multiple of {own} s, .* found {period}"):
-        command.run(config, tmp_path)
+        command.stream_path(config, tmp_path)
 
 
 def test_a_key_stops_the_arm_at_once() -> None:
@@ -120,7 +120,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     class Made:
         task, arm, motion = "shelf", ARM, MOTION
 
-    monkeypatch.setattr(command, "program_of", lambda config, trained, workcell: Made)
+    monkeypatch.setattr(command, "program_of", lambda config, trained: (Made, None))
     return folder
 
 
@@ -131,7 +131,7 @@ def config_of(run: Path, *more: str) -> Configuration:
 
 def test_without_the_flag_nothing_is_sent(run: Path, tmp_path: Path) -> None:
     with controller(ARM.home) as told:
-        result = command.run(config_of(run, f"stream.host={HOST}"), tmp_path / "out")
+        result = command.stream_path(config_of(run, f"stream.host={HOST}"), tmp_path / "out")
     assert not told.commands
     report = StreamFile.model_validate_json((tmp_path / "out" / "stream.json").read_text())
     assert report.model_dump(mode="json") == result.result
@@ -148,7 +148,7 @@ def test_with_the_flag_the_arm_moves_and_a_key_at_the_terminal_stops_it(
     with os.fdopen(theirs, "r") as terminal, controller(ARM.home) as told:
         monkeypatch.setattr(sys, "stdin", terminal)
         monkeypatch.setattr(command, "stream", pressing(stream, ours, 20))
-        result = command.run(moving, tmp_path / "out")
+        result = command.stream_path(moving, tmp_path / "out")
     os.close(ours)
     assert result.result["stopped"] == "a key was pressed"
     assert 20 <= result.result["sent"] == len(told.streamed) < 59
@@ -179,12 +179,12 @@ def pressing(made: Callable[..., Streamed], terminal: int, calls: int) -> Callab
 )
 def test_what_is_missing_to_move_is_told(run: Path, tmp_path: Path, changes: list[str], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
-        command.run(config_of(run, *changes), tmp_path / "out")
+        command.stream_path(config_of(run, *changes), tmp_path / "out")
 
 
 def test_a_run_is_needed_and_one_arm_moves_once(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(BadInputError, match="run: must name the run"):
-        command.run(load_config(), Path())
+        command.stream_path(load_config(), Path())
     with pytest.raises(BadInputError, match="--multirun: koopdqn stream"):
         prepare("stream", ["run=a,b"], multirun=True)
     assert cli.main(["stream", "-m", "run=a"]) == 2

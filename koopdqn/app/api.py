@@ -9,6 +9,7 @@ import numpy as np
 
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.hydra.compose import composed, explain
 from koopdqn.app.hydra.overrides import as_hydra_takes_it, literal
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -23,7 +24,6 @@ from koopdqn.intent.storage import StoredIntent
 from koopdqn.oracles.base import Oracle
 from koopdqn.settings import shown, typed
 from koopdqn.tasks.workcell import Workcell
-from koopdqn.tasks.workcell import open_workcell as open_scene
 
 if TYPE_CHECKING:
     from koopdqn.envs.batch import EnvironmentParts
@@ -76,7 +76,7 @@ def load_config(*overrides: str, config_dir: str | Path | None = None) -> Config
         if told is None:
             raise
         raise told from error
-    return pipeline.with_task(config, None, keep=False)
+    return with_task(config, None, keep=False)
 
 
 @typed
@@ -89,7 +89,7 @@ def open_workcell(config: Configuration) -> Workcell:
     Raises:
         BadInputError: the scene does not compile, or the arm cannot take the task's start or goal in it.
     """
-    return open_scene(config.task, config.robot)
+    return pipeline.open_scene(config)
 
 
 @typed
@@ -152,20 +152,6 @@ def intent_reward(config: Configuration, fitted: Fitted | StoredIntent) -> Inten
 
 
 @typed
-def reward_around_obstacles(
-    config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted | StoredIntent
-) -> IntentReward:
-    """Return the reward function of a fitted intent, bent around obstacles of the task.
-
-    Raises:
-        BadInputError: demonstrations or intent are of another task, or obstacles leave no way.
-    """
-    check_shown(demonstrations, config.task)
-    _check_intent(config, fitted)
-    return pipeline.reward_of(config, workcell, fitted, agent_steps(demonstrations, config.task))
-
-
-@typed
 def train(
     config: Configuration,
     demonstrations: Demonstrations,
@@ -187,26 +173,14 @@ def train(
             cannot.
         PauseRequested: who answers wants to go on another time.
     """
-    from koopdqn.rl.algorithm1 import Trainer
-    from koopdqn.rl.human_reward import Budget
-    from koopdqn.rl.questions import Asking
+    from koopdqn.app.commands.train import trainer_of
     from koopdqn.rl.settings import check_device
 
     check_device(config.agent)
-    workcell, seed = open_workcell(config), config.inputs.seed
-    reward = reward_around_obstacles(config, workcell, demonstrations, fitted)
-    trainer = Trainer(
-        workcell,
-        reward,
-        reward.model.placed(agent_steps(demonstrations, config.task)),
-        _answering(config, oracle, workcell, reward),
-        config.agent,
-        config.train,
-        seed,
-        config.feedback,
-        Budget(config.oracle.budget, config.oracle.when_spent),
-        Asking(config.oracle.ask, config.oracle.gather_most),
-    )
+    workcell = open_workcell(config)
+    reward = _reward_around_obstacles(config, workcell, demonstrations, fitted)
+    who = _answering(config, oracle, workcell, reward)
+    trainer = trainer_of(config, workcell, reward, agent_steps(demonstrations, config.task), who)
     trainer.run(on_check)
     return Trained(trainer.best_policy(), trainer.learned, trainer.questions, trainer.step_limit, trainer.history)
 
@@ -239,7 +213,7 @@ def evaluate(
     return evaluate_policy(
         workcell,
         trained.policy,
-        reward_around_obstacles(config, workcell, demonstrations, fitted),
+        _reward_around_obstacles(config, workcell, demonstrations, fitted),
         agent_steps(demonstrations, config.task),
         config.eval,
         trained.step_limit,
@@ -273,7 +247,7 @@ def environment_parts(
     if config.oracle.ask != "at_once":
         raise BadInputError(f"oracle.ask: must be at_once in an environment, found {config.oracle.ask}")
     workcell = open_workcell(config)
-    reward = reward_around_obstacles(config, workcell, demonstrations, fitted)
+    reward = _reward_around_obstacles(config, workcell, demonstrations, fitted)
     shown = agent_steps(demonstrations, config.task)
     limit = int(config.train.step_limit_factor * max(len(rows) for rows in shown))
     starts = None
@@ -314,6 +288,19 @@ def make_env(
     from koopdqn.envs.dm import KoopmanEnvironment
 
     return KoopmanEnvironment(environment_parts(config, demonstrations, fitted, oracle), config.inputs.seed)
+
+
+def _reward_around_obstacles(
+    config: Configuration, workcell: Workcell, demonstrations: Demonstrations, fitted: Fitted | StoredIntent
+) -> IntentReward:
+    """Return the reward function of a fitted intent, bent around obstacles of the task.
+
+    Raises:
+        BadInputError: demonstrations or intent are of another task, or obstacles leave no way.
+    """
+    check_shown(demonstrations, config.task)
+    _check_intent(config, fitted)
+    return pipeline.reward_of(config, workcell, fitted, agent_steps(demonstrations, config.task))
 
 
 def _check_intent(config: Configuration, fitted: Fitted | StoredIntent) -> None:

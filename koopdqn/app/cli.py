@@ -14,7 +14,7 @@ import typer
 
 from koopdqn import __version__, console
 from koopdqn.app.exit_status import guard, let_go_of_closed_streams, open_missing_streams
-from koopdqn.app.feedback import feedback_app
+from koopdqn.app.feedback import Debug, feedback_app
 from koopdqn.errors import BadInputError
 
 _COMMANDS = {
@@ -150,9 +150,6 @@ def _complete(ctx: typer.Context, incomplete: str) -> list[str]:
     return complete(ctx.params.get("overrides") or [], incomplete, ctx.params.get("config_dir"))
 
 
-_HYDRA: Final = "Hydra"
-
-
 def _parameter(name: str, kind: object, default: object, declared: object) -> Parameter:
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, declared])
 
@@ -160,7 +157,7 @@ def _parameter(name: str, kind: object, default: object, declared: object) -> Pa
 def _hydra(flag: str, short: str | None, kind: object, text: str, metavar: str | None = None) -> Parameter:
     """Return an option that is Hydra's own; it is passed on."""
     names = [flag, short] if short else [flag]
-    option = typer.Option(*names, metavar=metavar, help=text, rich_help_panel=_HYDRA)
+    option = typer.Option(*names, metavar=metavar, help=text, rich_help_panel="Hydra")
     return _parameter(flag.removeprefix("--").replace("-", "_"), kind, False if kind is bool else None, option)
 
 
@@ -172,26 +169,16 @@ _OVERRIDES: Final = typer.Argument(
     show_default=False,
 )
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON to standard output and nothing else.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 _OWN_OPTIONS: Final = (
     _parameter("overrides", list[str] | None, None, _OVERRIDES),
     Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=AsJson),
     Parameter("debug", Parameter.KEYWORD_ONLY, default=False, annotation=Debug),
 )
-_MAKE_OPTION: Final = _parameter(
-    "make",
-    bool,
-    False,
-    typer.Option("--make", help="Train and evaluate what is missing first; the same as report.make=true."),
-)
-_MOVE_OPTION: Final = _parameter(
-    "move",
-    bool,
-    False,
-    typer.Option("--move", help="Move the arm; the same as stream.move=true. Any key stops it."),
-)
-_FLAGS: Final = {"report": _MAKE_OPTION, "stream": _MOVE_OPTION}
-"""The option of its own that a command has."""
+_FLAGS: Final = {
+    "report": ("make", "Train and evaluate what is missing first; the same as report.make=true."),
+    "stream": ("move", "Move the arm; the same as stream.move=true. Any key stops it."),
+}
+"""The option of its own that a command has, a key of its section, and its help."""
 _HYDRA_OPTIONS: Final = (
     _hydra("--multirun", "-m", bool, "Sweep over comma-separated values."),
     _hydra("--run", "-r", bool, "Run one job (the default)."),
@@ -220,21 +207,15 @@ def _root(
 
 
 def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
-    def command(
-        *,
-        overrides: list[str] | None,
-        as_json: bool,
-        debug: bool,
-        make: bool = False,
-        move: bool = False,
-        **hydra: Any,
-    ) -> int:
-        flags = [*(["report.make=true"] if make else []), *(["stream.move=true"] if move else [])]
-        given = [*(overrides or []), *flags]
+    flag, text = _FLAGS.get(name, ("", ""))
+
+    def command(*, overrides: list[str] | None, as_json: bool, debug: bool, **hydra: Any) -> int:
+        given = [*(overrides or []), *([f"{name}.{flag}=true"] if flag and hydra.pop(flag) else [])]
         return guard(lambda: _compose_and_run(name, hydra, given, as_json=as_json), debug=debug)
 
     # Typer makes the options from this; no command has one that would do nothing.
-    parameters = [*_OWN_OPTIONS, *([_FLAGS[name]] if name in _FLAGS else []), *_HYDRA_OPTIONS]
+    own = [_parameter(flag, bool, False, typer.Option(f"--{flag}", help=text))] if flag else []
+    parameters = [*_OWN_OPTIONS, *own, *_HYDRA_OPTIONS]
     command.__signature__ = Signature(parameters, return_annotation=int)  # type: ignore[attr-defined]  # as in PEP 362
     shown = "\n\n".join(f"[bold]{example}[/]" for example in examples)
     app.command(name, short_help=summary, help=summary, epilog=f"Examples\n\n{shown}")(command)

@@ -68,11 +68,7 @@ class Check:
 
 
 def run(*, as_json: bool) -> int:
-    """Examine the machine, print the findings, and return 0 if all that koopdqn needs works, else 1.
-
-    Args:
-        as_json: print the findings as JSON instead of a table.
-    """
+    """Examine the machine, print the findings, and return 0 if all that koopdqn needs works, else 1."""
     from rich.text import Text
 
     checks = examine()
@@ -142,8 +138,7 @@ def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Check:
 def check_packages(version: Callable[[str], str | None]) -> list[Check]:
     """Return whether the packages koopdqn needs are there, and mujoco is a release dm-control works with.
 
-    Args:
-        version: gives the version of an installed package, or None.
+    ``version`` gives the version of an installed package, or None.
     """
     checks = []
     for name in _PACKAGES:
@@ -158,12 +153,9 @@ def check_packages(version: Callable[[str], str | None]) -> list[Check]:
 
 
 def check_rendering(run_probe: Callable[..., tuple[bool, str]]) -> list[Check]:
-    """Return which rendering backends work, and which one koopdqn will use.
+    """Return which rendering backends work by ``run_probe``, which is as `probe`, and which one koopdqn will use.
 
     Only pictures and films need one, so that none at all is a warning.
-
-    Args:
-        run_probe: as `probe`.
     """
     found = {backend: run_probe(_RENDER_PROBE, MUJOCO_GL=backend) for backend in BACKENDS}
     working = [backend for backend, (works, _) in found.items() if works]

@@ -48,9 +48,7 @@ def let_go_of_closed_streams() -> None:
 def guard(work: Callable[[], int], *, debug: bool) -> int:
     """Run ``work`` and return its exit status; an error becomes one line on standard error and its status.
 
-    Args:
-        work: returns an exit status.
-        debug: whether to print the traceback of an error first.
+    With ``debug`` the traceback of an error is printed first.
     """
     received: list[int] = []
     try:
@@ -75,16 +73,12 @@ class _Interruption(BaseException):
     """
 
 
-def _interrupted(error: BaseException) -> int:
+def _interrupted(error: BaseException, what: str = "interrupted") -> int:
     # The terminal may be gone.
     with contextlib.suppress(OSError, ValueError):
-        console.note("; ".join(["koopdqn: interrupted", KEPT, *_notes(error)]))
+        # The notes say what goes on with the work.
+        console.note("; ".join([f"koopdqn: {what}", KEPT, *getattr(error, "__notes__", [])]))
     return INTERRUPTED
-
-
-def _notes(error: BaseException) -> list[str]:
-    """Return the notes of an exception: what goes on with the work."""
-    return list(getattr(error, "__notes__", []))
 
 
 def _report(error: Exception, *, debug: bool) -> int:
@@ -96,8 +90,7 @@ def _report(error: Exception, *, debug: bool) -> int:
         traceback.print_exception(error)
     known = error if isinstance(error, KoopdqnError) else explain(error)
     if known is not None and known.exit_status == INTERRUPTED:
-        console.note("; ".join([f"koopdqn: {known}", KEPT, *_notes(known)]))
-        return INTERRUPTED
+        return _interrupted(known, str(known))
     if known is not None:
         console.fail(str(known))
         return known.exit_status

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from koopdqn.app.result import CommandResult
-from koopdqn.errors import BadInputError, unknown_name
+from koopdqn.app.hydra.application import CommandResult
+from koopdqn.errors import BadInputError
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -19,10 +19,10 @@ _COMMANDS: Final = {
     "explain": ("explain.run", ("demos", "intent_file")),
     "compare": ("compare.run", ("demos", "intent_file")),
     "report": ("report.run", ("run", "demos", "intent_file")),
-    "import": ("importing.import_", ("run", "intent_file")),
+    "import": ("demonstrations.import_", ("run", "intent_file")),
     "inspect": ("inspection.inspect", ("run", "intent_file")),
     "export": ("demonstrations.export", ("intent_file",)),
-    "stream": ("stream.run", ("demos", "intent_file")),
+    "stream": ("program.stream_path", ("demos", "intent_file")),
 }
 """Where each command is, and the inputs of others that would change nothing here."""
 
@@ -34,8 +34,6 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         BadInputError: the config, or a file it names, breaks a rule.
         WorkFailedError: the work itself failed.
     """
-    if command not in _COMMANDS:
-        raise unknown_name("command", command, _COMMANDS)
     import logging
     import sys
     import warnings
@@ -45,7 +43,8 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     for chatty in ("absl", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
     from koopdqn.app.commands.configuration import Configuration
-    from koopdqn.app.commands.pipeline import as_trained, with_task
+    from koopdqn.app.commands.demonstrated import with_task
+    from koopdqn.app.commands.trained import as_trained
     from koopdqn.settings import plain
     from koopdqn.threads import threads
     from koopdqn.untrusted import targets, trusting
@@ -66,12 +65,11 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
         looked_at = ("eval", "explain", "compare", "export", "stream", "view", "correct")
-        measured = settings.inputs.run if command in looked_at else None
-        if command in ("fit", "train", "eval", "explain", "compare", "correct") or measured is not None:
-            # The run that these read holds its demonstrations; the others keep them in their own folder.
-            settings = with_task(settings, measured or folder, keep=measured is None)
-        if measured is not None:
-            settings = as_trained(settings, measured)
+        if command in looked_at and settings.inputs.run is not None:
+            settings = as_trained(with_task(settings, settings.inputs.run, keep=False), settings.inputs.run)
+        elif command in ("fit", "train"):
+            # These keep the demonstrations in their own folder.
+            settings = with_task(settings, folder, keep=True)
         module, _, function = place.partition(".")
         result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result

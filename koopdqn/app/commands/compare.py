@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from koopdqn import console
-from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.report import RUNS
-from koopdqn.app.commands.trained import TrainedRun, read_trained
+from koopdqn.app.commands.trained import TrainedRun, as_trained, read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.app.hydra.record import GROUPS, read_record
-from koopdqn.app.result import CommandResult
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.metrics import reference_paths
@@ -103,7 +103,7 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     """Return the run in a folder, with its config as it was trained."""
     trusted = f"trust_modules=[{','.join(config.inputs.trust_modules)}]"
     tree = composed(prepare("eval", [f"run={place}", trusted]).overrides)
-    own = pipeline.as_trained(pipeline.with_task(Configuration.load(tree), place, keep=False), place)
+    own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
     # As it was trained, where today's defaults differ.
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
     keys = _flat({key: known[key] for key in _SHAPING if key in known})
@@ -182,7 +182,7 @@ def _told(each: _Run, motions: Sequence[Motion]) -> ComparedRun:
 
 def _config_listing(differences: Sequence[Difference], runs: Sequence[_Run]) -> Listing:
     rows = [(each.key, *(value or "–" for value in each.values)) for each in differences]
-    count = "no difference" if not rows else f"{len(rows)} difference{'s' if len(rows) > 1 else ''}"
+    count = console.counted(len(rows), "difference") if rows else "no difference"
     return Listing(f"Config: {count}", ("key", *(each.label for each in runs)), rows)
 
 

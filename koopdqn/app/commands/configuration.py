@@ -1,8 +1,13 @@
 """The composed config as typed settings."""
 
-from collections.abc import Mapping
+import importlib.util
+import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+from pydantic import BeforeValidator
 
 from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
@@ -26,7 +31,7 @@ from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.safety.guard import GuardSettings
-from koopdqn.settings import Modules, NonNegativeInt, PathText, Settings, Sources, load_settings, plain, validate
+from koopdqn.settings import Name, NonNegativeInt, PathText, Settings, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
 from koopdqn.view.settings import CompareSettings, ExplainSettings, ViewSettings
@@ -35,6 +40,39 @@ from koopdqn.view.settings import CompareSettings, ExplainSettings, ViewSettings
 _GROUPS = ("intent", "trust", "oracle", "agent", "robot")
 # What may change between two parts of one run without changing what either does.
 _WHEN_TO_STOP = ("stop", "extend", "max_steps", "max_episodes")
+
+
+def _to_sources(value: object) -> object:
+    values = value if isinstance(value, list | tuple) else [value]
+    if not values or not all(isinstance(each, str) and each.strip() for each in values):
+        raise ValueError("must be a path or a glob, or a list of them in brackets")
+    return tuple(values)
+
+
+def _to_modules(value: object) -> object:
+    values = [value] if isinstance(value, str) or not isinstance(value, Sequence) else list(value)
+    if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
+        raise ValueError("must be the dotted name of a module, or a list of them in brackets")
+    for each in values:
+        if not _can_be_found(each):
+            raise ValueError(
+                f"must name modules that can be found, found none called {each}; the folder it lies in must be on"
+                " PYTHONPATH"
+            )
+    return tuple(values)
+
+
+def _can_be_found(module: Any) -> bool:
+    try:
+        return module in sys.modules or importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+Sources = Annotated[tuple[str, ...], BeforeValidator(_to_sources)]
+"""Paths or globs, one as a text or several as a YAML list; they need not match anything."""
+Modules = Annotated[tuple[Name, ...], BeforeValidator(_to_modules)]
+"""Dotted names of modules, one as a text or several as a YAML list."""
 
 
 class Inputs(Settings):
@@ -84,6 +122,13 @@ class Configuration:
     stream: StreamSettings
     guard: GuardSettings
     derived: Derived | None = None
+
+    @property
+    def run(self) -> Path:
+        """The folder of the trained run to look at; BadInputError if none is named."""
+        if self.inputs.run is None:
+            raise BadInputError("run: must name the run to look at (run=DIR), found none")
+        return self.inputs.run
 
     @property
     def task(self) -> Task:

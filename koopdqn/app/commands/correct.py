@@ -12,16 +12,17 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
-from koopdqn.app.correcting.screen import CorrectingScreen, check_keyboard
-from koopdqn.app.correcting.showing import Showing
-from koopdqn.app.result import CommandResult
+from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
+from koopdqn.app.hydra.application import CommandResult
+from koopdqn.app.recording.correcting import CorrectingScreen
+from koopdqn.app.recording.showing import Showing
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
+from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
+from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.policy import Policy, read_policy, write_corrected
@@ -30,7 +31,7 @@ from koopdqn.tasks.workcell import Workcell
 
 NAME = "correct.json"
 SHOWN = "waypoints.csv"
-_KEPT = (pipeline.DEMONSTRATIONS, pipeline.INTENT, REPORT, "fit.json")
+_KEPT = (pipeline.DEMONSTRATIONS, pipeline.INTENT, TRAINING, "fit.json")
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,9 @@ class _Learned:
     @classmethod
     def read(cls, config: Configuration, source: Path) -> "_Learned":
         policy, about = read_policy(source / POLICY, config.task)
-        if pipeline.differs_from_trained(config.robot, about["robot"]):
+        if differs_from_trained(config.robot, about["robot"]):
             raise BadInputError(f"robot: must be the arm that the run was trained with, found {config.robot.name}")
-        limit, workcell = step_limit_of(source / REPORT), pipeline.open_scene(config)
+        limit, workcell = step_limit_of(source / TRAINING), pipeline.open_scene(config)
         controller = policy if policy.bend is None else PolicyAround(policy, policy.bend)
         episode = played(workcell, controller, limit)
         return cls(
@@ -81,11 +82,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         WorkFailedError: the arm cannot follow the corrected path to the goal.
         PauseRequested: the person quit.
     """
-    began, source, given = monotonic(), config.inputs.run, config.correct.waypoints
-    if source is None:
-        raise BadInputError("run: must name the trained run to correct, found none")
+    began, source, given = monotonic(), config.run, config.correct.waypoints
     if given is None:
-        check_keyboard()
+        require_terminal("waypoints", "give waypoints=[[x,y,z],…] or waypoints=FILE")
     learned = _Learned.read(config, source)
     seconds = monotonic() - began
     made = _shown(learned, source, folder) if given is None else learned.corrected(np.array(given))

@@ -10,75 +10,59 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
-from koopdqn.app.result import CommandResult
+from koopdqn.app.commands.trained import differs_from_trained, read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
-from koopdqn.files import read_json, sha256_of, write_json
-from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.storage import read_intent
-from koopdqn.settings import shown
+from koopdqn.evaluation.evaluate import Evaluation, evaluate, work_units
+from koopdqn.evaluation.results import EVALUATION
+from koopdqn.evaluation.schema import EvaluationFile
+from koopdqn.files import sha256_of, write_json
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from koopdqn.evaluation.evaluate import Evaluation
-
-_LONGEST = 1_000_000
-"""The most steps that an episode may be given."""
-
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Measure the run of ``run=``; write ``eval.json`` and ``eval.png``."""
-    from koopdqn.evaluation.evaluate import evaluate, work_units
-    from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
-    from koopdqn.rl.around import around
-    from koopdqn.rl.policy import read_policy
 
-    source = config.inputs.run
-    if source is None:
-        raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
-    policy, about = read_policy(source / POLICY, config.task, anywhere=True)
-    demonstrations = pipeline.demonstrations_of(config, source)
-    intent = read_intent(source / pipeline.INTENT, config.task)
-    made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
-    for name, sha in made_from.items():
-        with reading(f"policy {source / POLICY}"):
-            made_with = about["made_from"][name]
-        if made_with != sha:
-            raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
-    step_limit = step_limit_of(source / REPORT)
+    source = config.run
     film = folder / "eval.mp4"
     if config.eval.video:
         from koopdqn.view.film import check_film
 
         check_film(film, "eval.video")
-    workcell = pipeline.open_scene(config)
-    trajectories = agent_steps(demonstrations, config.task)
-    reward = pipeline.reward_of(config, workcell, intent, trajectories)
+    trained = read_trained(config, source)
+    demonstrations, workcell, about = trained.demonstrations, trained.workcell, trained.about
+    made_from = {"demonstrations": demonstrations.digest(), "intent": trained.intent.digest()}
+    for name, sha in made_from.items():
+        with reading(f"policy {source / POLICY}"):
+            made_with = about["made_from"][name]
+        if made_with != sha:
+            raise BadInputError(f"run {source}: the {name} must be those the policy was made from, found others")
     with console.stage("Evaluating", work_units(config.eval)) as stage:
         evaluation = evaluate(
             workcell,
-            around(policy, reward.model),
-            reward,
-            trajectories,
+            trained.policy,
+            trained.reward,
+            trained.trajectories,
             config.eval,
-            step_limit,
+            trained.step_limit,
             stage.advance,
             pipeline.held_out_of(config),
             config.guard,
         )
     added = bool(config.task.obstacles) and not about["task"].get("obstacles")
-    another_arm = pipeline.differs_from_trained(config.robot, about["robot"])
+    another_arm = differs_from_trained(config.robot, about["robot"])
     as_trained = not (added or another_arm) and config.eval.goal is None and config.eval.start_scale == 1.0
     content = {**evaluation.report, "run": str(source), "as_trained": as_trained, "policy": sha256_of(source / POLICY)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
-    write_json(folder / "eval.json", report)
+    write_json(folder / EVALUATION, report)
     drawn = next((e for e in evaluation.episodes if e.outcome == SUCCESS), evaluation.episodes[0])
     paths = [episode.positions for episode in evaluation.episodes[:20]]
     image = pipeline.picture(workcell.scene, drawn.joints, paths, [LEARNED] * len(paths))
@@ -89,7 +73,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         *off(report, "the demonstrator's own path", continuous=config.agent.continuous),
         *_guarded(report["dynamics"]),
         *_held_out(report, continuous=config.agent.continuous),
-        f"report          {console.shown_path(folder / 'eval.json')}",
+        f"report          {console.shown_path(folder / EVALUATION)}",
         f"learned path    {console.shown_path(folder / 'eval.png')}",
     ]
     if config.eval.video:
@@ -122,7 +106,7 @@ def near_person(near: dict[str, Any]) -> str:
 
 
 def _film(
-    path: Path, workcell: Workcell, demonstrations: Demonstrations, drawn: Episode, evaluation: "Evaluation"
+    path: Path, workcell: Workcell, demonstrations: Demonstrations, drawn: Episode, evaluation: Evaluation
 ) -> None:
     """Write a film of an episode beside the demonstration that begins nearest to it."""
     from koopdqn.view.motions import demonstrated_motions, learned_motion
@@ -132,21 +116,6 @@ def _film(
     clear = workcell.without_obstacles().reachability
     shown = demonstrated_motions(demonstrations.items, clear, workcell.task, len(demonstrations))
     pipeline.film(path, workcell.scene, learned, shown)
-
-
-def step_limit_of(path: Path) -> int:
-    """Return the step limit of the training report at a path, ``train.json``.
-
-    Raises:
-        BadInputError: the file is missing, or holds none.
-    """
-    report = read_json(path, "the training report")
-    limit = report.get("step_limit") if isinstance(report, dict) else None
-    if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= _LONGEST:
-        raise BadInputError(
-            f"{path}: step_limit must be a whole number above 0, at most {_LONGEST}, found {shown(limit)}"
-        )
-    return limit
 
 
 def table(report: dict[str, Any]) -> "Table":

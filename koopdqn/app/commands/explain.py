@@ -10,15 +10,15 @@ from rich.console import RenderableType
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.trained import TrainedRun, read_trained
-from koopdqn.app.result import CommandResult
+from koopdqn.app.commands.trained import TrainedRun, feedback_of, read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
 from koopdqn.intent.bend import BentIntent
-from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
 from koopdqn.rl.around import PolicyAround
+from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy
 from koopdqn.tasks.moved_goals import DrawnStarts
 from koopdqn.tasks.rollout import RULE_BROKEN, STUCK, SUCCESS, Episode, roll_out
@@ -36,23 +36,23 @@ _TOGETHER: Final = 10
 
 def run(config: Configuration, folder: Path) -> CommandResult:
     """Explain a state of the run of ``run=``; write ``explain.json`` and ``explain.png``."""
-    source = config.inputs.run
-    if source is None:
-        raise BadInputError("run: must name the folder of a trained run, found none: first `koopdqn train`")
+    source = config.run
     if config.inputs.actions != "table1":
         raise BadInputError(f"actions: explain tells of the ten actions of Table 1, found {config.inputs.actions}")
     trained = read_trained(config, source)
-    policy, chosen = trained.policy, config.explain
+    policy, feedback, chosen = trained.policy, feedback_of(config, trained, source), config.explain
     if isinstance(policy, PolicyAround):
         way = "a correction" if policy.policy.bend is not None else "obstacles that it never saw"
         raise BadInputError(f"run: explain tells why a network takes an action, found a policy led around {way}")
     if chosen.step is not None and chosen.pose is not None:
         raise BadInputError(f"explain.step: must stand without explain.pose, found step {chosen.step} and a pose")
     given = None if chosen.pose is None else np.array(chosen.pose)[None]
-    shown = _on_path(config, trained, policy) if given is None else _given(config, trained, policy, given)
-    task, feedback, row = trained.workcell.task, trained.feedback, shown.row
-    trajectories = agent_steps(trained.demonstrations, task)
-    local = feedback.reward.model.placed(trajectories)
+    if given is None:
+        shown = _on_path(config, trained, policy, feedback)
+    else:
+        shown = _given(config, trained, policy, feedback, given)
+    task, row = trained.workcell.task, shown.row
+    local = trained.reward.model.placed(trained.trajectories)
     trusted, trust = trust_of(feedback, shown.evaluation, row)
     content = ExplainFile(
         run=str(source),
@@ -77,7 +77,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.plots.explain import plot_explanation
 
     title = f"Task {task.name}, {_headline(content)}"
-    plot_explanation(folder / "explain.png", title, task, content, **drawn_of(shown.walk, trajectories))
+    plot_explanation(folder / "explain.png", title, task, content, **drawn_of(shown.walk, trained.trajectories))
     return CommandResult(content, _lines(content, folder, source))
 
 
@@ -104,15 +104,15 @@ class _State:
 
 def _asks_person(trained: TrainedRun) -> bool:
     # A scripted person sees no obstacles: their own path leads through them.
-    return trained.referred and not isinstance(trained.feedback.reward.model, BentIntent)
+    return trained.referred and not isinstance(trained.reward.model, BentIntent)
 
 
-def _on_path(config: Configuration, trained: TrainedRun, policy: Policy) -> _State:
+def _on_path(config: Configuration, trained: TrainedRun, policy: Policy, feedback: Feedback) -> _State:
     """Return the state of a path that was asked for, or the most telling one."""
     task = trained.workcell.task
     with console.stage("Moving the arm"):
         number, episode = _episode(config, trained)
-    walk = walked(episode, policy, trained.feedback, task, trained.step_limit, referred=_asks_person(trained))
+    walk = walked(episode, policy, feedback, task, trained.step_limit, referred=_asks_person(trained))
     row, why = telling_step(walk, task)
     if config.explain.step is not None:
         row, why = config.explain.step, "it was asked for"
@@ -133,7 +133,7 @@ def _on_path(config: Configuration, trained: TrainedRun, policy: Policy) -> _Sta
     return _State(walk.evaluation, row, walk.values[row], episode.joints[row], place, walk)
 
 
-def _given(config: Configuration, trained: TrainedRun, policy: Policy, given: Array) -> _State:
+def _given(config: Configuration, trained: TrainedRun, policy: Policy, feedback: Feedback, given: Array) -> _State:
     """Return the state of a given pose (1, 7), which is on no path.
 
     What follows starts is placed by the held-out start that was asked for, else by the nominal one.
@@ -147,7 +147,7 @@ def _given(config: Configuration, trained: TrainedRun, policy: Policy, given: Ar
     number, start = config.explain.start, trained.workcell.task.nominal_start[None]
     if number is not None:
         start = _drawn(config, trained).starts[number : number + 1]
-    evaluation = trained.feedback.evaluate_actions(given, np.array([0]), start)
+    evaluation = feedback.evaluate_actions(given, np.array([0]), start)
     place = dict.fromkeys(("outcome", "detail", "steps", "step", "left_at", "off_path_mm"))
     told = {**place, "start": number, "why_step": "the pose was given"}
     return _State(evaluation, 0, policy.values(given, start)[0], taken.joints, told)

@@ -7,9 +7,9 @@ from rich.text import Text
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.importing import read_and_cut, recognised
+from koopdqn.app.commands.demonstrations import read_and_cut, recognised
 from koopdqn.app.commands.pipeline import DEMONSTRATIONS
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.cleaning import STEPS, Cleaned, clean
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.derivation import Derivation

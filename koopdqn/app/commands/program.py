@@ -1,68 +1,66 @@
-"""``koopdqn export run=DIR``: the path that a run learned, written as a checked robot program."""
+"""``koopdqn export run=DIR`` and ``stream``: a learned path, checked, as a robot program or sent to a controller."""
 
-import hashlib
-from collections.abc import Callable
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
 from koopdqn import console, pose
-from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import near_person, step_limit_of
+from koopdqn.app.commands.eval import near_person
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
-from koopdqn.app.result import CommandResult
+from koopdqn.app.commands.trained import read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.files import write_json
-from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.storage import read_intent
+from koopdqn.files import sha256_of, write_json
+from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.paths import arc_lengths
 from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
 from koopdqn.programs.ros import write_json_trajectory, write_yaml_trajectory
 from koopdqn.programs.rtde import write_rtde
-from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile
+from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile, StreamFile
 from koopdqn.programs.settings import ProgramSettings
+from koopdqn.programs.streaming import Streamed, read_state, stream
 from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.rl.around import tube_of
+from koopdqn.robot.scene import Scene
 from koopdqn.robot.ur import URArm
 from koopdqn.safety.guard import Guard
 from koopdqn.safety.schema import SeparationReport, separation_report
 from koopdqn.safety.separation import separation
 from koopdqn.tasks.demonstrated import DemonstratedTask
-from koopdqn.tasks.workcell import Workcell
 
-REPORT_NAME = "program.json"
+REPORT = "program.json"
 PICTURE = "program.png"
+STREAMED = "stream.json"
 _OF_THE_FAMILY = ("urscript", "rtde")
+# Periods of the controllers of both series [s].
+_CB_SERIES_S, _E_SERIES_S, _SAME_PERIOD = 0.008, 0.002, 1e-6
 
 
 def export_program(config: Configuration, run: Path, folder: Path) -> CommandResult:
-    """Write the program of the policy in a run's folder and ``program.json``.
-
-    Raises:
-        BadInputError: the run holds no policy of this task, or the start breaks a rule.
-        WorkFailedError: there is no program that keeps every limit and touches nothing.
-    """
+    """Write the program of the policy in a run's folder (:func:`program_of`) and ``program.json``."""
     settings = config.program
     _check_formats(config)
-    workcell = pipeline.open_scene(config)
-    program = program_of(config, run, workcell)
+    program, scene = program_of(config, run)
     files: dict[str, str] = {}
     for name in settings.formats:
         file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
         write(folder / file, program)
         files[name] = file
-    report = _report(program, files, run / POLICY, settings, _near(workcell, program, config)).model_dump(mode="json")
-    write_json(folder / REPORT_NAME, report)
+    report = _report(program, files, run / POLICY, settings, _near(scene, program, config)).model_dump(mode="json")
+    write_json(folder / REPORT, report)
     from koopdqn.plots.program import plot_program
 
     title = (
         f"{program.task}: {report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm on {program.arm.name}"
     )
-    plot_program(folder / PICTURE, title, program, workcell.scene)
+    plot_program(folder / PICTURE, title, program, scene)
     used, dynamics = report["limits_used"], report["dynamics"]
     lines = [
         f"{report['seconds']:.2f} s for {1e3 * report['path_length_m']:.0f} mm, {report['samples']} samples,"
@@ -74,26 +72,20 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         *([near_person(report["separation"])] if report["separation"] else []),
         *(f"{name:<14}  {console.shown_path(folder / file)}" for name, file in files.items()),
         f"picture         {console.shown_path(folder / PICTURE)}",
-        f"report          {console.shown_path(folder / REPORT_NAME)}",
+        f"report          {console.shown_path(folder / REPORT)}",
     ]
     return CommandResult(report, lines)
 
 
-def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
-    """Return the checked program of the policy in a run's folder, as :func:`export_program` writes it.
+def program_of(config: Configuration, run: Path) -> tuple[Program, Scene]:
+    """Return the checked program of the policy in a run's folder, and the scene in which it was checked.
 
     Raises:
         BadInputError: the run holds no policy of this task, or the start breaks a rule.
         WorkFailedError: there is no program that keeps every limit and touches nothing.
     """
-    from koopdqn.rl.around import around, tube_of
-    from koopdqn.rl.policy import read_policy
-
-    settings = config.program
-    policy, _ = read_policy(run / POLICY, config.task, anywhere=True)
-    step_limit = step_limit_of(run / REPORT)
-    demonstrations = pipeline.demonstrations_of(config, run)
-    placement = demonstrations.placement if settings.frame == "recorded" else None
+    settings, trained = config.program, read_trained(config, run)
+    placement = trained.demonstrations.placement if settings.frame == "recorded" else None
     if placement is not None:
         console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
     if isinstance(config.task, DemonstratedTask):
@@ -102,12 +94,10 @@ def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
         raise BadInputError(
             "program.frame: must be placed where obstacles stand in the scene, found recorded: they were not there"
         )
-    intent = read_intent(run / pipeline.INTENT, config.task)
-    reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
-    served = around(policy, reward.model)
-    guard = Guard(workcell, config.guard, tube_of(served, reward.trust), reward.model.start_frame)
+    policy, workcell, reward = trained.policy, trained.workcell, trained.reward
+    guard = Guard(workcell, config.guard, tube_of(policy, reward.trust), reward.model.start_frame)
     try:
-        return make_program(workcell, served, settings, step_limit, placement, guard)
+        return make_program(workcell, policy, settings, trained.step_limit, placement, guard), workcell.scene
     except WorkFailedError as error:
         if placement is None:
             raise
@@ -142,11 +132,11 @@ _WRITERS: dict[str, tuple[str, Callable[[Path, Program], None]]] = {
 """File name and writer of each format, and of the other kind of URScript."""
 
 
-def _near(workcell: Workcell, program: Program, config: Configuration) -> SeparationReport | None:
+def _near(scene: Scene, program: Program, config: Configuration) -> SeparationReport | None:
     if config.guard.person is None:
         return None
     motion = program.motion
-    found = separation(workcell.scene, motion.joints, motion.times, config.guard.person)
+    found = separation(scene, motion.joints, motion.times, config.guard.person)
     return separation_report(found, motion.times.tolist())
 
 
@@ -159,7 +149,7 @@ def _report(
     return ProgramFile(
         task=program.task,
         arm=program.arm.name,
-        policy=hashlib.sha256(policy.read_bytes()).hexdigest(),
+        policy=sha256_of(policy),
         frame=settings.frame,
         start=motion.poses[0].tolist(),
         start_joints=motion.joints[0].tolist(),
@@ -185,3 +175,83 @@ def _report(
         separation=near,
         files=files,
     )
+
+
+def stream_path(config: Configuration, folder: Path) -> CommandResult:
+    """Make and check the program; with a host read where the arm stands; with ``stream.move`` move it.
+
+    Raises:
+        BadInputError: ``run=`` is missing, the arm is no UR, the start breaks a rule, or no key could stop the arm.
+        WorkFailedError: there is no program that keeps every limit, or the arm is not where it starts.
+    """
+    settings, trained = config.stream, config.run
+    if not isinstance(config.robot, URArm):
+        raise BadInputError(f"robot: must be of the UR family to stream to its controller, found {config.robot.name}")
+    own, period = _E_SERIES_S if config.robot.name.endswith("e") else _CB_SERIES_S, config.program.period_s
+    if abs(period / own - round(period / own)) > _SAME_PERIOD:
+        raise BadInputError(
+            f"program.period_s: must be a multiple of {own:g} s, the period of a {config.robot.name}'s controller,"
+            f" found {period:g}"
+        )
+    if settings.move and settings.host is None:
+        raise BadInputError("stream.host: must be given to move the arm (host=ADDRESS), found none")
+    if settings.move:
+        require_terminal("stream.move", "a key must be able to stop the arm")
+    program, _ = program_of(config, trained)
+    motion, made = program.motion, Streamed(0, "", 0.0, 0.0)
+    if settings.host is not None:
+        read_state(settings.host, motion, moves=settings.move)
+    if settings.move and settings.host is not None:
+        console.note(f"the arm moves for {motion.times[-1]:.1f} s; any key stops it")
+        with _any_key() as pressed:
+            made = stream(settings.host, motion, pressed)
+    report = StreamFile(
+        task=program.task,
+        arm=program.arm.name,
+        policy=sha256_of(trained / POLICY),
+        host=settings.host,
+        moved=settings.move,
+        seconds=float(motion.times[-1]),
+        samples=len(motion.joints) - 1,
+        sent=made.sent,
+        stopped=made.stopped or None,
+        late_seconds=made.late_s,
+        joint_error_rad=made.off_rad,
+        start_joints=motion.joints[0].tolist(),
+    ).model_dump(mode="json")
+    write_json(folder / STREAMED, report)
+    found = "not asked" if settings.host is None else "stands at the start" if not settings.move else "moved"
+    lines = [
+        f"{report['seconds']:.2f} s, {report['samples']} samples, checked as koopdqn export does",
+        f"arm at {settings.host}: {found}" if settings.host else "no host given: nothing was asked",
+        *(
+            [
+                f"sent            {made.sent} samples, {1e3 * made.late_s:.1f} ms late at most,"
+                f" joints {made.off_rad:.4f} rad off at most"
+            ]
+            if settings.move
+            else ["dry run         nothing was sent; --move moves the arm"]
+        ),
+        *([f"STOPPED         {made.stopped}"] if made.stopped else []),
+        f"report          {console.shown_path(folder / STREAMED)}",
+    ]
+    return CommandResult(report, lines, exit_status=1 if made.stopped else 0)
+
+
+@contextlib.contextmanager
+def _any_key() -> Iterator[Callable[[], bool]]:
+    """Yield whether a key was pressed, or the terminal closed, since the block began."""
+    import select
+    import termios
+    import tty
+
+    terminal = sys.stdin.fileno()
+    before = termios.tcgetattr(terminal)
+    tty.setcbreak(terminal)
+    # What was typed ahead stops nothing.
+    termios.tcflush(terminal, termios.TCIFLUSH)
+    try:
+        yield lambda: bool(select.select([terminal], [], [], 0.0)[0])
+    finally:
+        # The key is not left to the shell.
+        termios.tcsetattr(terminal, termios.TCSAFLUSH, before)

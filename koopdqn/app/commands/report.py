@@ -8,8 +8,8 @@ from pathlib import Path
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.result import CommandResult
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.results import EVALUATION, TRAINING, find_sweep

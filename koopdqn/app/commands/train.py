@@ -10,15 +10,17 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.hydra.application import in_sweep, record_continued
-from koopdqn.app.result import CommandResult
+from koopdqn.app.hydra.application import CommandResult, in_sweep, record_continued
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.reward import BY_MODEL
+from koopdqn.intent.reward import BY_MODEL, IntentReward
+from koopdqn.oracles.base import Oracle
 from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
+from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.around import answering
 from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
@@ -31,9 +33,9 @@ from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.settings import shown
+from koopdqn.tasks.workcell import Workcell
 from koopdqn.view.dashboard import Dashboard, fits
 
-REPORT = "train.json"
 BEGUN = "begun.json"
 
 
@@ -69,18 +71,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     reward = pipeline.reward_of(config, workcell, intent, shown_paths)
     opened = answering(config.oracle.open(workcell, config.inputs.seed, folder), config.oracle, reward.model)
     oracle = JournalledOracle(opened, folder / JOURNAL, answered)
-    trainer = Trainer(
-        workcell,
-        reward,
-        reward.model.placed(shown_paths),
-        oracle,
-        config.agent,
-        config.train,
-        config.inputs.seed,
-        config.feedback,
-        Budget(config.oracle.budget, config.oracle.when_spent),
-        Asking(config.oracle.ask, config.oracle.gather_most),
-    )
+    trainer = trainer_of(config, workcell, reward, shown_paths, oracle)
     if checkpoint is not None:
         with reading(f"checkpoint {checkpoint_path(folder)}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
@@ -96,7 +87,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     made = trainer.best, config.agent.network, intent.model.start_frame, shaped_by
     write_policy(folder / POLICY, *made, continuous=config.agent.continuous)
     report = train_report(config, trainer, seconds, made_from)
-    write_json(folder / REPORT, report)
+    write_json(folder / TRAINING, report)
     # Here and not before: matplotlib takes a while to load, and learning need not wait for it.
     from koopdqn.plots.train import plot_training
 
@@ -109,6 +100,24 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     )
 
 
+def trainer_of(
+    config: Configuration, workcell: Workcell, reward: IntentReward, shown: list[Array], oracle: Oracle
+) -> Trainer:
+    """Return what learns with a reward function from the poses (N, 7) of demonstrations; ``oracle`` answers it."""
+    return Trainer(
+        workcell,
+        reward,
+        reward.model.placed(shown),
+        oracle,
+        config.agent,
+        config.train,
+        config.inputs.seed,
+        config.feedback,
+        Budget(config.oracle.budget, config.oracle.when_spent),
+        Asking(config.oracle.ask, config.oracle.gather_most),
+    )
+
+
 def _goes_on(folder: Path) -> str:
     return f"{shlex.join(['koopdqn', 'train', f'run={console.shown_path(folder)}'])} goes on"
 
@@ -116,7 +125,7 @@ def _goes_on(folder: Path) -> str:
 def _check_threads(config: Configuration) -> None:
     """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
     journal = getattr(config.oracle, "journal", None)
-    report = None if journal is None else Path(journal).parent / REPORT
+    report = None if journal is None else Path(journal).parent / TRAINING
     if report is None or not report.is_file():
         return
     content = read_json(report, "the training report")
@@ -242,7 +251,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
         *_cut_short(trainer),
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
-        f"report          {console.shown_path(folder / REPORT)}",
+        f"report          {console.shown_path(folder / TRAINING)}",
         f"training curve  {console.shown_path(folder / 'train.png')}",
     ]
 

@@ -1,26 +1,42 @@
 """What a finished training left in its folder, read back to look at it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.eval import step_limit_of
+from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.commands.train import REPORT
-from koopdqn.artifact import read_artifact, reading
+from koopdqn.app.hydra.compose import composed
+from koopdqn.app.hydra.overrides import prepare
+from koopdqn.artifact import described, read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.results import TRAINING
+from koopdqn.files import read_json
 from koopdqn.intent.fit import agent_steps
-from koopdqn.intent.storage import read_intent
+from koopdqn.intent.reward import IntentReward, RewardSettings
+from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
+from koopdqn.pose import Array
 from koopdqn.rl import checkpoint
 from koopdqn.rl.around import PolicyAround, around
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, read_policy
+from koopdqn.robot.arm import Arm
+from koopdqn.robot.mjcf import MjcfArm
+from koopdqn.settings import TARGET, load_settings, shown
+from koopdqn.tasks.demonstrated import DemonstratedTask
+from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
 
 _FEEDBACK: Final = "feedback/"
+
+_LONGEST = 1_000_000
+"""The most steps that an episode may be given."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +45,23 @@ class TrainedRun:
 
     Attributes:
         policy: what was learned; led around what stands in the scene now, and along what a person corrected.
+        about: the metadata of the policy's file.
         demonstrations: that it learned from.
+        trajectories: their poses (N, 7) at the agent's step.
+        intent: that was fitted to them.
         workcell: task, arm and scene.
-        feedback: the reward function, with what answers taught.
+        reward: the reward function of the intent.
         step_limit: of its episodes.
         referred: whether the scripted person's own paths are what learned ones are compared with.
     """
 
     policy: Policy | PolicyAround
+    about: dict[str, Any]
     demonstrations: Demonstrations
+    trajectories: list[Array]
+    intent: StoredIntent
     workcell: Workcell
-    feedback: Feedback
+    reward: IntentReward
     step_limit: int
     referred: bool
 
@@ -50,17 +72,95 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     Raises:
         BadInputError: a file is missing or damaged, or obstacles leave no way.
     """
-    policy, _ = read_policy(source / POLICY, config.task, anywhere=True)
+    policy, about = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
     intent = read_intent(source / pipeline.INTENT, config.task)
+    limit = step_limit_of(source / TRAINING)
     workcell = pipeline.open_scene(config)
-    reward = pipeline.reward_of(config, workcell, intent, agent_steps(demonstrations, config.task))
-    served = around(policy, reward.model)
-    feedback = Feedback(reward, ScriptedOracle(config.task), config.feedback)
+    trajectories = agent_steps(demonstrations, config.task)
+    reward = pipeline.reward_of(config, workcell, intent, trajectories)
+    served, referred = around(policy, reward.model), config.derived is None
+    return TrainedRun(served, about, demonstrations, trajectories, intent, workcell, reward, limit, referred)
+
+
+def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Feedback:
+    """Return the reward function of the training in a folder, with what answers taught if a checkpoint holds it.
+
+    Raises:
+        BadInputError: the checkpoint is damaged.
+    """
+    feedback = Feedback(trained.reward, ScriptedOracle(config.task), config.feedback)
     path = checkpoint.checkpoint_path(source)
     if path.is_file():
         arrays = read_artifact(path, checkpoint.KIND).arrays
         with reading(f"checkpoint {path}"):
             feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
-    referred = pipeline.held_out_of(config) is None
-    return TrainedRun(served, demonstrations, workcell, feedback, step_limit_of(source / REPORT), referred)
+    return feedback
+
+
+def as_trained(config: Configuration, run: Path) -> Configuration:
+    """Return a config with the task, arm and reward that a run was trained with, as its policy's file holds them.
+
+    They may differ from the config because koopdqn's defaults have changed since. What the command line changes
+    stays changed, and whether it fits the policy is for others to say.
+
+    Raises:
+        BadInputError: the file is missing, damaged, or holds what this release does not know.
+    """
+    policy = run / POLICY
+    about = read_artifact(policy, "policy").about
+    taken, found = ("continuous" if each else "table1" for each in ("actions" in about, config.agent.continuous))
+    if taken != found:
+        raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {found}")
+    with reading(f"policy {policy}"):
+        task = load_settings(about["task"], Task, "task")
+        robot: Any = load_settings({**about["robot"], **_place_of(config.robot, about["robot"])}, Arm, "robot")
+        reward = load_settings(about["reward"], RewardSettings, "reward")
+    if not task.obstacles:
+        # They may be added to any task.
+        task = task.model_copy(update={"obstacles": config.task.obstacles})
+    trained: dict[str, Any] = {"task": task, "robot": robot, "reward": reward}
+    changed = [name for name, each in trained.items() if described(each) != described(getattr(config, name))]
+    if not changed:
+        return config
+    recorded = composed(prepare("eval", [f"run={run}"]).overrides)
+    if config.task.obstacles and not about["task"].get("obstacles"):
+        recorded.task.obstacles = described(config.task)["obstacles"]
+    default = with_task(Configuration.load(recorded), run, keep=False)
+    own = [name for name in changed if described(getattr(default, name)) == described(getattr(config, name))]
+    for name in own:
+        console.note(f"{name}: as in the run, from which today's defaults differ")
+    if "task" in own and config.derived is None:
+        config = replace(config, chosen=task)
+    elif "task" in own and config.derived is not None and isinstance(task, DemonstratedTask):
+        task = task.showing(agent_steps(config.derived.training, task))
+        config = replace(config, derived=replace(config.derived, task=task))
+    return replace(config, **{name: trained[name] for name in own if name != "task"})
+
+
+def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:
+    """Return whether an arm is another than the one that a policy's file says it was trained with."""
+    mine: Any = robot
+    its: Any = load_settings({**trained, **_place_of(robot, trained)}, Arm, "robot")
+    return described(mine) != described(its)
+
+
+def _place_of(robot: Arm, trained: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where the MJCF file of a trained arm lies, which its policy does not hold."""
+    mine = isinstance(robot, MjcfArm) and trained.get(TARGET) == described(robot)[TARGET]
+    return {"path": robot.mjcf} if mine else {}
+
+
+def step_limit_of(path: Path) -> int:
+    """Return the step limit of the training report at a path, ``train.json``.
+
+    Raises:
+        BadInputError: the file is missing, or holds none.
+    """
+    report = read_json(path, "the training report")
+    limit = report.get("step_limit") if isinstance(report, dict) else None
+    if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= _LONGEST:
+        raise BadInputError(
+            f"{path}: step_limit must be a whole number above 0, at most {_LONGEST}, found {shown(limit)}"
+        )
+    return limit

@@ -6,9 +6,10 @@ from typing import Any, Final
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.trained import read_trained
+from koopdqn.app.commands.demonstrated import with_task
+from koopdqn.app.commands.trained import feedback_of, read_trained
+from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.result import CommandResult
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.reading import read_files, together
 from koopdqn.errors import BadInputError
@@ -58,10 +59,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 
 def _of_run(config: Configuration, source: Path) -> Shown:
     run = read_trained(config, source)
+    feedback = feedback_of(config, run, source)
     starts, cell = min(config.view.starts, config.eval.episodes), run.workcell
     with console.stage("Moving the arm"):
         learned = learned_motions(
-            cell, run.policy, run.feedback, config.eval, starts, run.step_limit, referred=run.referred
+            cell, run.policy, feedback, config.eval, starts, run.step_limit, referred=run.referred
         )
         clear = cell.without_obstacles().reachability
         shown = demonstrated_motions(run.demonstrations.items, clear, config.task, _FOLLOWED)
@@ -76,7 +78,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
         cell.scene,
         [*learned, *shown],
         [item.poses[:, POSITION] for item in run.demonstrations.items],
-        run.feedback.reward.trust,
+        run.reward.trust,
         config.task.goal,
     )
 
@@ -89,7 +91,7 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     demonstrations = together(read, config.chosen.name, config.robot.name, any_task=True, cut=bool(config.import_.cut))
     task = _task_of(config, read[0].task)
     if isinstance(config.chosen, Derivation) and config.chosen.place == "auto":
-        moved = pipeline.with_task(config, folder, keep=False)
+        moved = with_task(config, folder, keep=False)
         demonstrations, task = pipeline.demonstrations_of(moved, folder), moved.task
     scene = SceneBuilder(config.robot).build() if task is None else build_scene(task, config.robot)
     posture = None
@@ -98,7 +100,7 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     reachability = Reachability(config.robot, scene, config.robot.step_seconds, posture)
     with console.stage("Moving the arm"):
         shown = demonstrated_motions(demonstrations.items, reachability, task, _FOLLOWED)
-    count = f"{len(demonstrations)} demonstration{'s' if len(demonstrations) > 1 else ''}"
+    count = console.counted(len(demonstrations), "demonstration")
     samples = sum(len(item) for item in demonstrations.items)
     stopped = [f"{motion.name}: {motion.remark}" for motion in shown if len(motion.joints) < len(motion.poses)]
     return Shown(

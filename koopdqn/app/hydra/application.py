@@ -8,14 +8,15 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
+
+from rich.console import RenderableType
 
 from koopdqn import console
 from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
 from koopdqn.app.hydra.record import RECORD
-from koopdqn.app.result import CommandResult
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
 from koopdqn.resources import conf_dir
@@ -23,6 +24,25 @@ from koopdqn.run_folder import locked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
+
+
+@dataclass(frozen=True)
+class CommandResult:
+    """The outcome of a command.
+
+    Attributes:
+        result: what the command's result file holds; ``--json`` prints it. JSON values only, no NaN.
+        lines: what a person reads on standard output without ``--json``: texts (plain, no markup) or Rich
+            renderables.
+        objective: the value returned to Hydra's sweepers, or None.
+        exit_status: 0 done, 1 the work itself failed (not learned).
+    """
+
+    result: dict[str, Any]
+    lines: Sequence[RenderableType] = field(default_factory=tuple)
+    objective: float | None = None
+    exit_status: int = 0
+
 
 Work = Callable[[str, "DictConfig", Path], CommandResult]
 """What a command does: its name, the composed config and the run folder, to a result."""
@@ -40,7 +60,7 @@ class Job:
         outcomes: folder that receives each job's outcome as ``<number>.json``.
         as_json: whether the result is kept for ``--json`` instead of being printed for people.
         continues: whether the run folder holds an earlier part of the same run.
-        work: what the command does with a composed config in its run folder; workers import it by its name.
+        work: workers import it by its name.
     """
 
     command: str
@@ -68,8 +88,7 @@ class Job:
         if not self.as_json:
             for line in outcome.lines:
                 console.say(line)
-        objective: float | None = outcome.objective
-        return objective
+        return outcome.objective
 
 
 _continued: "tuple[DictConfig, list[str], Path] | None" = None
@@ -99,16 +118,9 @@ def run(
 ) -> int:
     """Run a command under Hydra and return its exit status: the worst one of a sweep.
 
-    Args:
-        command: name of the subcommand.
-        options: options of Hydra's own command line (``["--multirun"]``).
-        overrides: the prepared overrides.
-        work: what the command does with a composed config in its run folder.
-        as_json: print the result to standard output as JSON (a line a job in a sweep), nothing else there.
-        continues: whether the run folder holds an earlier part of the same run.
-
-    Raises:
-        Exception: whatever composing or the job raises, unchanged.
+    ``options`` are Hydra's own (``["--multirun"]``), ``overrides`` are prepared. With ``as_json`` the result goes to
+    standard output as JSON (a line a job in a sweep), and nothing else does. What composing or the job raises is passed
+    on unchanged.
     """
     with tempfile.TemporaryDirectory(prefix="koopdqn-") as outcomes:
         job = Job(command, Path(outcomes), as_json, continues, work)

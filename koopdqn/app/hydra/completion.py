@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import PATH_KEYS, literal
 from koopdqn.resources import conf_dir
 
@@ -17,12 +18,7 @@ def complete(words: Sequence[str], incomplete: str, config_dir: str | None = Non
     """Return what may stand in place of ``incomplete``; nothing, rather than an error, if anything fails.
 
     Bash splits words at ``=`` and asks for the part behind it only; other shells give whole words. Both
-    are understood.
-
-    Args:
-        words: the overrides already typed.
-        incomplete: the word at the cursor.
-        config_dir: the user's own config folder (``--config-dir``), or None.
+    are understood. ``words`` are the overrides already typed, ``config_dir`` is the user's own config folder.
     """
     try:
         typed = _rejoined(words)
@@ -51,55 +47,32 @@ def _is_open(word: str) -> bool:
 
 
 def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Iterator[str]:
-    from hydra import initialize_config_dir
-    from hydra.core.global_hydra import GlobalHydra
+    from omegaconf import OmegaConf
 
     prefix = start[: len(start) - len(start.lstrip("+~"))]
     key, equals, value = start.removeprefix(prefix).partition("=")
     if equals and key in _FILE_KEYS:
         yield from (f"{prefix}{key}={path}" for path in _paths(value))
     user_dir = Path(config_dir).absolute() if config_dir else None
-    GlobalHydra.instance().clear()
-    for folder in [conf_dir(), user_dir]:
-        if folder is not None and folder.is_dir():
-            with initialize_config_dir(str(folder), version_base="1.3"):
-                yield from (prefix + item for item in _group_options())
+    for folder in (conf_dir(), user_dir):
+        options = folder.glob("*/*.yaml") if folder else ()
+        yield from (f"{prefix}{each.parent.name}={each.stem}" for each in options if each.parent.name != "hydra")
     if not prefix.startswith("~"):
-        with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-            yield from (prefix + item for item in _keys(_composed(typed, user_dir), "", nested="." in key))
-
-
-def _group_options() -> Iterator[str]:
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.object_type import ObjectType
-
-    loader = GlobalHydra.instance().config_loader()
-    for group in loader.list_groups(""):
-        if group != "hydra":
-            for option in loader.get_group_options(group, ObjectType.CONFIG):
-                yield f"{group}={option}"
+        content = OmegaConf.to_container(_composed(typed, user_dir), resolve=False)
+        yield from (prefix + item for item in _leaves(content, "", nested="." in key))
 
 
 def _composed(typed: Sequence[str], user_dir: Path | None) -> "DictConfig":
-    from hydra import compose
-
     search = [f"hydra.searchpath=[{literal(f'file://{user_dir}')}]"] if user_dir else []
     try:
-        return compose("config", overrides=[*search, *typed])
+        return composed([*search, *typed])
     # an override still being typed, or wrong, must not take the completion of the others away
     except Exception:
-        return compose("config")
+        return composed([])
 
 
-def _keys(node: "DictConfig", parent: str, *, nested: bool) -> Iterator[str]:
+def _leaves(content: Any, parent: str, *, nested: bool) -> Iterator[str]:
     """Yield ``key=current value`` of each leaf; below the top level only when a dot has been typed."""
-    from omegaconf import OmegaConf
-
-    content = OmegaConf.to_container(node, resolve=False)
-    yield from _leaves(dict(content) if isinstance(content, dict) else {}, parent, nested=nested)
-
-
-def _leaves(content: Mapping[Any, Any], parent: str, *, nested: bool) -> Iterator[str]:
     for name, value in content.items():
         if isinstance(value, Mapping):
             if nested:

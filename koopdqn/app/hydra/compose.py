@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from koopdqn.app.hydra.folder import ensure_resolver
 from koopdqn.app.hydra.record import GROUPS
+from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError, KoopdqnError, WorkFailedError, unknown_name
 from koopdqn.files import OUT_OF_ROOM
 from koopdqn.resources import conf_dir
@@ -21,14 +22,9 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     """Return the config tree under overrides, in Hydra's grammar.
 
     Within a command it is composed from where the command's own config came from, so that a user's own config
-    folder takes part. Another program's own use of Hydra is left as it was.
-
-    Args:
-        overrides: as on the command line.
-        replaced: top-level keys put in place of the composed ones; what refers to them by ``${…}`` follows.
-
-    Raises:
-        Exception: whatever Hydra raises for an override that it refuses.
+    folder takes part. Another program's own use of Hydra is left as it was, and what Hydra raises for an override that
+    it refuses is passed on. The top-level keys ``replaced`` are put in place of the composed ones; what refers to them
+    by ``${…}`` follows.
     """
     from hydra import compose
     from omegaconf import OmegaConf
@@ -194,15 +190,10 @@ def _from_yaml(error: BaseException) -> BadInputError | None:
 
 def _from_system(error: OSError) -> KoopdqnError:
     reason = error.strerror or _in_one_line(str(error)) or type(error).__name__
-    text = f"{_relative(error.filename)}: {reason}" if error.filename else reason
+    text = f"{shown_path(Path(str(error.filename)))}: {reason}" if error.filename else reason
     if error.errno is None or error.errno in OUT_OF_ROOM:
         return WorkFailedError(text)
     return BadInputError(text)
-
-
-def _relative(filename: object) -> str:
-    path = Path(str(filename))
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
 def _in_one_line(text: str) -> str:

@@ -10,13 +10,6 @@ from typing import Any, Final
 from koopdqn.errors import BadInputError
 from koopdqn.run_folder import check_plain, hold, release
 
-RESOLVER = "new_folder"
-"""Name of the OmegaConf resolver ``${new_folder:…}`` that conf/ puts around the run folder."""
-PER_TASK = "per_task"
-"""Name of the OmegaConf resolver ``${per_task:NAME,USUAL,{OTHER: VALUE}}``: Appendix 7.1 gives some tasks their own."""
-FREE_RESOLVER = "free_folder"
-"""Name of the OmegaConf resolver ``${free_folder:…}`` that conf/ puts around the run folder's default name."""
-
 # Hydra writes it before it looks whether the first job's config can be composed, and writes it anew.
 _OF_A_SWEEP: Final = "multirun.yaml"
 
@@ -24,24 +17,23 @@ _held: list[Path] = []
 
 
 def register_resolver(*, check: bool) -> None:
-    """Register ``${new_folder:PATH}``, which gives PATH back, and ``${free_folder:PATH}``, which may number it.
+    """Register what conf/ puts around the run folder, and ``${per_task:NAME,USUAL,{OTHER: VALUE}}``.
 
+    ``${new_folder:PATH}`` gives PATH back, ``${free_folder:PATH}``, of the folder's default name, may number it.
     Hydra asks for the run folder before it writes there, so that this is the moment to look: OmegaConf
     keeps what a resolver first returned, and the later requests of the same run (when the folder has
-    begun to fill) see that.
-
-    Args:
-        check: whether to refuse a folder that holds something, and to take a free one for good; a config that
-            is only shown need not.
+    begun to fill) see that. Only with ``check`` is a folder that holds something refused, and a free one taken for
+    good: a config that is only shown needs neither.
     """
     from omegaconf import OmegaConf
 
-    OmegaConf.register_new_resolver(PER_TASK, _per_task, replace=True)
-    for name, resolver in ((RESOLVER, _checked), (FREE_RESOLVER, _taken)):
+    OmegaConf.register_new_resolver("per_task", _per_task, replace=True)
+    for name, resolver in (("new_folder", _checked), ("free_folder", _taken)):
         OmegaConf.register_new_resolver(name, resolver if check else str, replace=True, use_cache=True)
 
 
 def _per_task(name: str, usual: Any, others: Mapping[str, Any]) -> Any:
+    # Appendix 7.1 gives some tasks their own.
     return others.get(name, usual)
 
 
@@ -49,19 +41,14 @@ def ensure_resolver() -> None:
     """Register the resolvers for showing alone, unless a command has registered them."""
     from omegaconf import OmegaConf
 
-    if not OmegaConf.has_resolver(RESOLVER):
+    if not OmegaConf.has_resolver("new_folder"):
         register_resolver(check=False)
 
 
 def require_new(folder: Path, ignore: str = "") -> None:
-    """Raise unless a run folder is absent, empty, or holds hidden files or what a refused sweep leaves, and no more.
+    """Raise BadInputError unless a run folder is absent, empty, or holds hidden files or what a refused sweep leaves.
 
-    Args:
-        folder: the run folder.
-        ignore: name of a file that may be there, such as the log that Hydra opens first.
-
-    Raises:
-        BadInputError: the folder holds something.
+    The file ``ignore`` may be there too, such as the log that Hydra opens first.
     """
     if not folder.is_dir():
         return
@@ -72,11 +59,7 @@ def require_new(folder: Path, ignore: str = "") -> None:
 
 
 def require_writable(folder: Path) -> None:
-    """Make a folder and its parents, and raise unless files can be made in it.
-
-    Raises:
-        BadInputError: the folder cannot be made, or is read-only.
-    """
+    """Make a folder and its parents; raise BadInputError if that fails or no files can be made in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,6 +1,5 @@
 """What the command line does to the overrides it is given before Hydra reads them."""
 
-import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -71,33 +70,22 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     """Return the overrides that Hydra gets for a command.
 
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
+    - Short names become long ones (`_SHORT_NAMES`, `_OWN_KEYS`), and ``obstacles=FILE`` becomes ``task.obstacles=``
+      with what the file holds.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
-    - ``journal=FILE`` becomes ``oracle.journal=FILE``, ``source=WHO`` becomes ``demo.source=WHO``,
-      ``demos.place=`` becomes ``task.place=``, ``sweep=DIR`` becomes ``report.sweep=DIR``, ``start=`` becomes
-      ``program.start=``, ``goal=`` becomes ``eval.goal=`` and ``waypoints=`` becomes ``correct.waypoints=``.
-    - ``obstacles=FILE`` becomes ``task.obstacles=`` with what the file holds.
-    - ``eval video=true`` becomes ``eval.video=true`` and ``view video=FILE`` becomes ``view.video=FILE``;
-      ``window=`` of ``view`` and ``start=``, ``step=`` and ``pose=`` of ``explain`` are their own in the same way.
     - Values of the `PATH_KEYS`, and the name of ``import.pose=``, are quoted when they hold characters of Hydra's
-      grammar (a space, a bracket) or read as a number, and a leading ``~`` is the home folder.
-    - ``train run=DIR`` goes on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new ones
-      after them; the run folder is DIR, whose record takes the new ones once the run has. The record is data
-      (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps
-      a copy of are read from there, wherever the files first given are by now. Where another oracle is
-      given, the recorded one's settings go. ``demo run=DIR`` goes on with a recording in the same way.
-    - ``eval run=DIR`` and ``explain run=DIR`` look at the run in DIR: the overrides recorded there come first, so that
-      task and robot are the run's own. Without ``run=`` the newest trained run below ``runs/`` is taken.
-      ``export run=DIR`` does the same, where ``run=`` must be given.
-    - ``view`` shows the run in ``run=DIR``, or the newest one, in the same way; ``view demos=`` shows demonstrations
-      alone.
-    - ``compare run=DIR run=DIR`` takes everything from the first run in the same way, and all of them as
-      ``compare.runs=[DIR,DIR]``.
-    - ``stream run=DIR`` sends the path of the run in the same way; ``host=`` becomes ``stream.host=``.
-    - ``demos=`` may be a list in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``import`` and ``inspect`` also take files alone, without ``demos=``.
-    - ``import``, ``inspect``, ``export`` and ``view demos=`` work on demonstrations of any kind: without ``task=``
-      theirs is the one that demonstrations define.
+      grammar (a space, a bracket) or read as a number, and a leading ``~`` is the home folder. ``demos=`` may be a list
+      in brackets, which is Hydra's own grammar, unless a file is named so.
+    - ``train run=DIR`` and ``demo run=DIR`` go on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new
+      ones after them; the run folder is DIR, whose record takes the new ones once the run has. The record is data
+      (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps a copy of are read from there,
+      wherever the files first given are by now. Where another oracle is given, the recorded one's settings go.
+    - Commands that look at a trained run take the overrides recorded there first, so that task and robot are the run's
+      own; ``eval``, ``explain`` and ``view`` without ``run=`` look at the newest below ``runs/``, and ``compare`` takes
+      several, everything from the first.
+    - ``import`` and ``inspect`` also take files alone, without ``demos=``. They, ``export`` and ``view demos=`` work on
+      demonstrations of any kind: without ``task=`` theirs is the one that demonstrations define.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -197,15 +185,15 @@ def _check_compared(prepared: Sequence[str]) -> None:
             )
 
 
-def newest_trained_run(below: Path = Path("runs")) -> Path:
-    """Return the folder of the newest finished training run below a folder.
+def newest_trained_run() -> Path:
+    """Return the folder of the newest finished training run below ``runs/``.
 
     Raises:
         BadInputError: there is none.
     """
-    finished = [path for path in below.rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
+    finished = [path for path in Path("runs").rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
     if not finished:
-        raise BadInputError(f"run: must name a trained run, found none given and none below {below}/; train one first")
+        raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 
@@ -308,13 +296,7 @@ def _is_list(value: str) -> bool:
 
 def _is_path(value: str) -> bool:
     text = _unquoted(value)
-    separators = [s for s in (os.sep, os.altsep) if s]
-    return (
-        any(s in text for s in separators)
-        or text.lower().endswith(_INTENT_SUFFIXES)
-        or text == "~"
-        or (bool(text) and Path(text).is_file())
-    )
+    return "/" in text or text.lower().endswith(_INTENT_SUFFIXES) or text == "~" or Path(text).is_file()
 
 
 def _quoted(value: str) -> str:

@@ -25,20 +25,8 @@ SECTIONS: Final = (
 VALUES: Final = ("command", "seed", "out", "run", "demos", "intent_file", "trust_modules")
 """The root's keys that hold values."""
 PATH_NAMES: Final = (
-    *(
-        "out",
-        "run",
-        "demos",
-        "intent_file",
-        "journal",
-        "questions",
-        "answers",
-        "runs",
-        "sweep",
-        "video",
-        "path",
-        "file",
-    ),
+    *("out", "run", "demos", "intent_file", "journal", "questions", "answers"),
+    *("runs", "sweep", "video", "path", "file"),
 )
 """The last part of every key whose value is a path."""
 
@@ -81,11 +69,7 @@ class Recorded:
 
 
 def read_record(folder: Path, what: str) -> list[Recorded]:
-    """Return the overrides that a run folder was begun with, less those that are for the present command to say.
-
-    Args:
-        folder: the run folder.
-        what: of what it must be, for messages: "a training run".
+    """Return the overrides that a run folder was begun with; messages say of ``what`` it must be ("a training run").
 
     Raises:
         BadInputError: the folder holds links, there is no record, it is no plain list of overrides, or one of them is
@@ -109,6 +93,8 @@ def check_record(
 ) -> list[str]:
     """Return recorded overrides that are safe to apply, in Hydra's grammar.
 
+    Those that are for the present command to say are left out.
+
     Args:
         recorded: the overrides.
         folder: the run folder; the paths of a record must lie in it.
@@ -130,30 +116,19 @@ def check_record(
 
 def _texts(path: Path) -> list[str]:
     import yaml
-    from yaml.events import ScalarEvent, SequenceEndEvent, SequenceStartEvent
 
     size = path.stat().st_size
     if size > _LARGEST:
         raise BadInputError(f"run: {path} must hold at most {_LARGEST} bytes, found {size}")
-    found: list[str] = []
-    begun = False
     try:
         text = path.read_text(encoding="utf-8")
-        # Event by event, so that no alias is expanded and nothing nested is followed.
-        for event in yaml.parse(text, Loader=yaml.SafeLoader):
-            if isinstance(event, ScalarEvent) and begun and event.anchor is None and event.tag is None:
-                found.append(event.value)
-            elif isinstance(event, SequenceStartEvent) and not begun and event.anchor is None and event.tag is None:
-                begun = True
-            elif isinstance(event, yaml.NodeEvent) or len(found) > _MOST:
-                raise BadInputError(f"run: {path} must be a list of at most {_MOST} overrides, found {shown(text)}")
-            elif isinstance(event, SequenceEndEvent):
-                break
-    except BadInputError:
-        raise
+        # This loader knows no tags and makes texts, lists and mappings alone.
+        found = yaml.load(text, Loader=yaml.BaseLoader)
     # the file may hold anything, and the YAML parser has errors of its own
     except Exception as error:
         raise BadInputError(f"run: {path} cannot be read ({type(error).__name__})") from error
+    if not isinstance(found, list) or len(found) > _MOST or not all(isinstance(each, str) for each in found):
+        raise BadInputError(f"run: {path} must be a list of at most {_MOST} overrides, found {shown(text)}")
     return found
 
 

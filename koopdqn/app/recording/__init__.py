@@ -1,4 +1,4 @@
-"""A person shows a task with the keyboard: keys move the arm, and the path becomes a demonstration."""
+"""A person shows a task, or a better way, with the keyboard: the path becomes a demonstration, or a correction."""
 
 from typing import Literal
 

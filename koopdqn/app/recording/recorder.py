@@ -8,6 +8,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.app.recording import DemoSettings
 from koopdqn.app.recording.playing import play, sample_count
+from koopdqn.console import counted
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, between
@@ -153,6 +154,10 @@ class Recorder:
         """How many samples the path under way has when it is played."""
         return sample_count(np.array(self.state.path), self._settings) if self.state.moves else 1
 
+    @property
+    def _moves(self) -> str:
+        return counted(self.state.moves, "move")
+
     def press(self, key: str, *, sure: bool = False) -> Reply:
         """Apply a key and return what it did; ``sure`` keeps an end away from the goal without asking once more."""
         if key in MOVES:
@@ -190,23 +195,27 @@ class Recorder:
         taken_back = len(self._earlier[-1].kept) < len(self.state.kept)
         self.state = self._earlier.pop()
         text = "The demonstration kept last is under way again" if taken_back else "Undone"
-        return Reply(f"{text}; {_counted(self.state.moves)} recorded", changed=True)
+        return Reply(f"{text}; {counted(self.state.moves, 'move')} recorded", changed=True)
 
     def _mark_start(self) -> Reply:
         if not self.state.moves:
             return Reply("The start is here already", changed=False)
         state = replace(self.state, path=self.state.path[-1:], joints=self.state.joints[-1:])
-        return self._become(state, f"The start is here; {_counted(self.state.moves)} dropped (u brings them back)")
+        return self._become(
+            state, f"The start is here; {counted(self.state.moves, 'move')} dropped (u brings them back)"
+        )
 
     def _discard(self) -> Reply:
         state = self._begun(self.state.start, self.state.kept)
         if not self.state.moves and same(self.here, state.path[0]):
             return Reply("Nothing to discard", changed=False)
-        return self._become(state, f"Discarded: {_counted(self.state.moves)}; back at the start (u brings them back)")
+        return self._become(
+            state, f"Discarded: {counted(self.state.moves, 'move')}; back at the start (u brings them back)"
+        )
 
     def _renew(self) -> Reply:
         state = self._begun(self.state.start + 1, self.state.kept)
-        return self._become(state, f"New start; {_counted(self.state.moves)} dropped (u brings them back)")
+        return self._become(state, f"New start; {counted(self.state.moves, 'move')} dropped (u brings them back)")
 
     def _mark_end(self, *, sure: bool) -> Reply:
         task, state = self.task, self.state
@@ -245,7 +254,3 @@ class Recorder:
         rng = np.random.default_rng([self._seed, 1, start])
         poses, joints, _ = self._workcell.reachability.draw_starts(self.task, rng, 1)
         return State(start, (poses[0],), (joints[0],), kept)
-
-
-def _counted(moves: int) -> str:
-    return f"{moves} move{'' if moves == 1 else 's'}"

@@ -12,7 +12,8 @@ from rich.text import Text
 from koopdqn import pose
 from koopdqn.app.recording.recorder import Recorder
 from koopdqn.app.recording.session import Recording
-from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_terminal
+from koopdqn.console import counted
+from koopdqn.oracles.terminal.device import Graphics
 from koopdqn.oracles.terminal.graphics import Picture, Window
 from koopdqn.oracles.terminal.picture import BEFORE, WENT, Marks, WorkcellCamera
 from koopdqn.oracles.terminal.picture import GOAL as GOAL_COLOUR
@@ -34,7 +35,7 @@ from koopdqn.robot.render import Ghost, Image, Line
 from koopdqn.robot.view import View, choose_view
 from koopdqn.tasks.workcell import Workcell
 
-_START: Final = Style(color="bright_white", bold=True)
+START: Final = Style(color="bright_white", bold=True)
 _TOOL: Final = Style(color="yellow", bold=True)
 _MOST_STATUS: Final = 3
 """Lines at the bottom that tell what a key did."""
@@ -96,8 +97,7 @@ class Shown:
 def compose(content: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
-    # One short of the width: a character in the corner makes some terminals scroll.
-    status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
+    status = status_lines(content.status, width)
     keys = [] if content.help else key_lines(KEYS, width, height)
     room = height - 1 - len(keys) - len(status)
     if content.help:
@@ -110,8 +110,17 @@ def compose(content: Shown, width: int, height: int, *, pictures: bool) -> list[
     return framed(head, body, keys, status, width, height)
 
 
+def status_lines(status: str, width: int) -> list[Text]:
+    """Return what a key did, as a few lines at the bottom of a screen of that width."""
+    # One short of the width: a character in the corner makes some terminals scroll.
+    lines = wrapped(status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
+    for line in lines:
+        line.truncate(width - 1, overflow="crop")
+    return lines
+
+
 def _legend(width: int) -> Text:
-    legend = Text.assemble(("s", _START), " start ", ("t", _TOOL), " tool ", ("g", GOAL), " goal")
+    legend = Text.assemble(("s", START), " start ", ("t", _TOOL), " tool ", ("g", GOAL), " goal")
     axes = "  xyz base axes"
     return legend + Text(axes, style=DIM) if len(legend) + len(axes) <= width else legend
 
@@ -136,8 +145,8 @@ def _right(shown: Shown, width: int) -> list[Text]:
         *(wrapped(f"rule   BROKEN here: {task.rule}", width, _TOOL) if broken else [pair("rule", "held")]),
         Text(""),
         pair("step", f"{recorder.step * 1e3:.4g} mm, {np.degrees(recorder.turn):.3g}°"),
-        pair("path", f"{moves} move{'' if moves == 1 else 's'}, {recorder.length:.3f} m"),
-        pair("", f"{samples} sample{'' if samples == 1 else 's'} when played"),
+        pair("path", f"{counted(moves, 'move')}, {recorder.length:.3f} m"),
+        pair("", f"{counted(samples, 'sample')} when played"),
         pair("kept", f"{len(recorder.state.kept)}"),
         *([pair("in", shown.file, DIM)] if recorder.state.kept else []),
         Text(""),
@@ -197,12 +206,6 @@ class RecordingCamera(WorkcellCamera):
 
 _WAIT_SECONDS: Final = 0.1
 """How often the size of the screen is looked at."""
-
-
-def check_keyboard(graphics: Graphics) -> None:
-    """Raise BadInputError if there is no terminal here, or it cannot show pictures the wanted way."""
-    require_terminal("source=keyboard", "use source=scripted, or koopdqn import demos=FILE for demonstrations of yours")
-    check_graphics(graphics, "demo.keyboard.graphics")
 
 
 class RecordingScreen:

@@ -10,24 +10,21 @@ from rich.style import Style
 from rich.text import Text
 
 from koopdqn import pose
-from koopdqn.app.correcting.showing import NOT_ADDED, REFUSED, Showing
-from koopdqn.app.recording.screen import pair, row
+from koopdqn.app.recording.screen import START, pair, row, status_lines
+from koopdqn.app.recording.showing import NOT_ADDED, REFUSED, Showing
+from koopdqn.console import counted
 from koopdqn.errors import KoopdqnError
 from koopdqn.oracles.base import PauseRequested
-from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.oracles.terminal.graphics import Window
-from koopdqn.oracles.terminal.screen import BOLD, DIM, GAP, GOAL, beside, framed, help_body, key_lines, wrapped
+from koopdqn.oracles.terminal.screen import DIM, GAP, GOAL, beside, framed, help_body, key_lines, wrapped
 from koopdqn.pose import Array
 from koopdqn.view.characters import Picture, Track
 
 _LEARNED: Final = Style(color="cyan", bold=True)
 _SHOWN: Final = Style(color="yellow", bold=True)
 _TOOL: Final = Style(color="magenta", bold=True)
-_START: Final = Style(color="bright_white", bold=True)
 _TEXT_WIDTH: Final = 40
 _LEAST_PICTURE: Final = (24, 6)
-_MOST_STATUS: Final = 3
-"""Lines at the bottom that tell what a key did."""
 _MARGIN_M: Final = 0.02
 
 # To the right and up, from above and from the side: signs of the base's axes, by which of x and y is to the right.
@@ -87,10 +84,7 @@ class Shown:
 def compose(content: Shown, width: int, height: int) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     showing = content.showing
-    # One short of the width: a character in the corner makes some terminals scroll.
-    status = wrapped(content.status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
-    for line in status:
-        line.truncate(width - 1, overflow="crop")
+    status = status_lines(content.status, width)
     keys = [] if content.help else key_lines(KEYS, width, height)
     across, down = width - _TEXT_WIDTH - GAP, height - 1 - len(keys) - len(status)
     if across < _LEAST_PICTURE[0] or down < 2 * _LEAST_PICTURE[1]:
@@ -111,7 +105,7 @@ def _pictures(showing: Showing, across: int, down: int) -> list[Text]:
     tracks = [(showing.path, _LEARNED), *([] if bent is None else [(bent, _SHOWN)])]
     frame = np.concatenate([track for track, _ in tracks] + [added, showing.waypoint[None]])
     frame = np.concatenate([frame - _MARGIN_M, frame + _MARGIN_M])
-    marks: list[tuple[str, Array, Style]] = [("s", showing.path[0], _START), ("g", showing.goal[pose.POSITION], GOAL)]
+    marks: list[tuple[str, Array, Style]] = [("s", showing.path[0], START), ("g", showing.goal[pose.POSITION], GOAL)]
     marks += [(str((number + 1) % 10), point, _SHOWN) for number, point in enumerate(added)]
     marks += [("t", tool, _TOOL), *([("w", showing.waypoint, _SHOWN)] if showing.loose else [])]
     extent = showing.path.max(axis=0) - showing.path.min(axis=0)
@@ -132,7 +126,6 @@ def _right(content: Shown, width: int) -> list[Text]:
     showing = content.showing
     here, goal, bent, standing = showing.here, showing.goal, showing.under_way, showing.standing()
     left = pose.multiply(pose.conjugate(here[pose.QUATERNION]), goal[pose.QUATERNION])
-    count = len(showing.added)
     lines = [
         Text("              x       y       z", style=DIM),
         row("tool", here[pose.POSITION] * 1e3, "mm"),
@@ -143,7 +136,7 @@ def _right(content: Shown, width: int) -> list[Text]:
         *wrapped(f"arm    {standing}", width, _TOOL if standing.startswith(REFUSED) else Style()),
         Text(""),
         pair("step", f"{showing.step * 1e3:.4g} mm"),
-        pair("added", f"{count} waypoint{'' if count == 1 else 's'}"),
+        pair("added", counted(len(showing.added), "waypoint")),
     ]
     moved = np.zeros(1) if bent is None else pose.norm(bent - showing.path)
     if moved.any():
@@ -158,11 +151,6 @@ _FRAME_SECONDS: Final = 0.05
 """How often a path that is played is drawn."""
 _MOST_FRAME_SECONDS: Final = 0.2
 """A path goes on from where it was, however long the process was stopped."""
-
-
-def check_keyboard() -> None:
-    """Raise BadInputError if there is no terminal at which the better way could be shown."""
-    require_terminal("waypoints", "give waypoints=[[x,y,z],…] or waypoints=FILE")
 
 
 class CorrectingScreen(Generic[Corrected]):
