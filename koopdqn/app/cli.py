@@ -256,7 +256,7 @@ def _compose_and_run(name: str, hydra: Mapping[str, Any], overrides: Sequence[st
             raise BadInputError("--json: prints a command's result and cannot be combined with --cfg or --info")
         # Hydra's help is about Hydra's own config, which has none of our keys
         return application.show(name, given, [] if hydra["hydra_help"] else prepared.overrides)
-    return application.run(name, given, prepared.overrides, run, as_json=as_json, continues=prepared.continues)
+    return application.run(name, given, prepared.overrides, run, as_json=as_json, record=prepared.record)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -14,7 +14,7 @@ from koopdqn import console, pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import DEMONSTRATIONS
-from koopdqn.app.hydra.application import CommandResult
+from koopdqn.app.hydra.application import CommandResult, how_to_go_on
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
@@ -61,7 +61,7 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
         RecordingScreen(recording, workcell, graphics, console.shown_path(path)).run()
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
-    goes_on = f"koopdqn demo run={console.shown_path(folder)} goes on"
+    goes_on = f"{how_to_go_on('demo', folder)} goes on"
     if demonstrations is None:
         raise WorkFailedError(f"no demonstration was kept: e marks the end of one; {goes_on} ({moves} moves under way)")
     remarks = [f"{moves} moves are under way; {goes_on}"] if moves else []

@@ -1,6 +1,5 @@
 """``koopdqn train``: learn the path."""
 
-import shlex
 from contextlib import closing, nullcontext
 from pathlib import Path
 from time import monotonic
@@ -10,7 +9,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import POLICY
-from koopdqn.app.hydra.application import CommandResult, in_sweep, record_continued
+from koopdqn.app.hydra.application import CommandResult, how_to_go_on, in_sweep, record_continued
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.results import TRAINING
@@ -61,10 +60,13 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     if not (folder / BEGUN).exists():
         write_json(folder / BEGUN, {"threads": config.train.threads})
     intent = pipeline.intent_for(config, demonstrations, folder)
-    config = pipeline.as_fitted(config, intent)
+    begun = config
+    if config.inputs.intent_file is not None:
+        config = pipeline.as_fitted(config, intent)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     shaped_by = {**config.shaped_by(), "made_from": made_from}
-    checkpoint = read_checkpoint(folder, shaped_by)
+    # Earlier versions wrote down the config's own intent and trust, whatever intent=FILE held.
+    checkpoint = read_checkpoint(folder, shaped_by, {**begun.shaped_by(), "made_from": made_from})
     answered = 0 if checkpoint is None else questions_asked(checkpoint)
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
     shown_paths = agent_steps(demonstrations, config.task)
@@ -76,7 +78,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
         with reading(f"checkpoint {checkpoint_path(folder)}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
-        record_continued()
+    record_continued()
     dashboard = None
     if not config.oracle.shows_progress and not in_sweep() and fits(console.err()):
         poses = [item.poses for item in demonstrations.items]
@@ -119,7 +121,7 @@ def trainer_of(
 
 
 def _goes_on(folder: Path) -> str:
-    return f"{shlex.join(['koopdqn', 'train', f'run={console.shown_path(folder)}'])} goes on"
+    return f"{how_to_go_on('train', folder)} goes on"
 
 
 def _check_threads(config: Configuration) -> None:
@@ -175,7 +177,6 @@ def _learn(
 
         def on_check(check: Check) -> None:
             save_checkpoint(folder, trainer, shaped_by, monotonic() - began)
-            record_continued()
             events.check(check)
             stage.advance(0, _progress(trainer, check))
 

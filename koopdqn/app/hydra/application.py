@@ -5,6 +5,7 @@ import io
 import json
 import logging
 import os
+import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +16,9 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 from rich.console import RenderableType
 
 from koopdqn import console
+from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
+from koopdqn.app.hydra.overrides import going_on
 from koopdqn.app.hydra.record import RECORD
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
@@ -59,14 +62,14 @@ class Job:
         command: name of the subcommand.
         outcomes: folder that receives each job's outcome as ``<number>.json``.
         as_json: whether the result is kept for ``--json`` instead of being printed for people.
-        continues: whether the run folder holds an earlier part of the same run.
+        record: what the record of a run that goes on is to say; None for a new run.
         work: workers import it by its name.
     """
 
     command: str
     outcomes: Path
     as_json: bool
-    continues: bool
+    record: Sequence[str] | None
     work: Work
 
     def __call__(self, config: "DictConfig") -> float | None:
@@ -75,10 +78,10 @@ class Job:
 
         hydra = HydraConfig.get()
         folder = Path(hydra.runtime.output_dir)
-        if not self.continues:
+        if self.record is None:
             require_new(folder, ignore=f"{hydra.job.name}.log")
         global _continued
-        _continued = (config, list(hydra.overrides.task), folder) if self.continues else None
+        _continued = None if self.record is None else (self.record, folder)
         with locked(folder):
             outcome = self.work(self.command, config, folder)
         number = int(hydra.job.num) if in_sweep() else 0
@@ -91,8 +94,8 @@ class Job:
         return outcome.objective
 
 
-_continued: "tuple[DictConfig, list[str], Path] | None" = None
-"""What the present job goes on with: its config, its overrides and the folder of the run."""
+_continued: tuple[Sequence[str], Path] | None = None
+"""What the record of the run that the present job goes on with is to say, and its folder."""
 
 
 def record_continued() -> None:
@@ -102,19 +105,37 @@ def record_continued() -> None:
     """
     from omegaconf import OmegaConf
 
-    global _continued
     if _continued is None:
         return
-    config, overrides, folder = _continued
-    _continued = None
+    record, folder = _continued
     with atomic_path(folder / RECORD) as path:
-        path.write_text(OmegaConf.to_yaml(OmegaConf.create(overrides)), encoding="utf-8")
+        path.write_text(OmegaConf.to_yaml(OmegaConf.create(list(record))), encoding="utf-8")
     with atomic_path(folder / RECORD.with_name("config.yaml")) as path:
-        path.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
+        path.write_text(OmegaConf.to_yaml(composed(record)), encoding="utf-8")
+
+
+def how_to_go_on(command: str, folder: Path) -> str:
+    """Return the command that goes on with the present one in its run folder, as a shell takes it."""
+    from hydra.core.hydra_config import HydraConfig
+
+    option = {"command-line": "--config-dir", "main": "--config-path"}
+    own = [
+        f"{option[source.provider]}={source.path}"
+        for source in HydraConfig.get().runtime.config_sources
+        if source.provider in option and source.path != str(conf_dir())
+    ]
+    command, *rest = going_on(command, folder)
+    return shlex.join(["koopdqn", command, *own, *rest])
 
 
 def run(
-    command: str, options: Sequence[str], overrides: Sequence[str], work: Work, *, as_json: bool, continues: bool
+    command: str,
+    options: Sequence[str],
+    overrides: Sequence[str],
+    work: Work,
+    *,
+    as_json: bool,
+    record: Sequence[str] | None,
 ) -> int:
     """Run a command under Hydra and return its exit status: the worst one of a sweep.
 
@@ -123,7 +144,7 @@ def run(
     on unchanged.
     """
     with tempfile.TemporaryDirectory(prefix="koopdqn-") as outcomes:
-        job = Job(command, Path(outcomes), as_json, continues, work)
+        job = Job(command, Path(outcomes), as_json, record, work)
         try:
             with _stdout_to_stderr() if as_json else contextlib.nullcontext():
                 _call_hydra(job, [*options, *overrides], check_folder=True)
@@ -144,7 +165,7 @@ def show(command: str, options: Sequence[str], overrides: Sequence[str]) -> int:
     Raises:
         BadInputError: Hydra could not show it.
     """
-    job = Job(command, Path(), False, False, _no_work)
+    job = Job(command, Path(), False, None, _no_work)
     messages = io.StringIO()
     try:
         with contextlib.redirect_stderr(messages):

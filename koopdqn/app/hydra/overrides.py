@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record
+from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record, said_again
+from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError
 from koopdqn.settings import shown
 
@@ -59,11 +60,11 @@ class Prepared:
 
     Attributes:
         overrides: the overrides, in Hydra's grammar.
-        continues: whether they go on with an earlier run of the command, in its folder.
+        record: what the record of a run that goes on is to say from now on; None for a new run.
     """
 
     overrides: list[str]
-    continues: bool = False
+    record: list[str] | None = None
 
 
 def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -> Prepared:
@@ -135,16 +136,33 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if "oracle" in given:
         # Who answers may change within a run; the settings were those of who answered before.
         recorded = [item for item in recorded if item.root != "oracle"]
-    copied = _copied(Path(folder), recorded) if command == "train" else []
+    copied = _copied(command, Path(folder), recorded)
+    # That an intent was given still says whose settings hold.
+    intent = [
+        f"{item.key}={_text(str(Path(folder, _COPIES[item.key])))}"
+        for item in recorded
+        if item.key in copied and item.key == "intent_file"
+    ]
     merged = [
         *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
+        *intent,
         *prepared,
         f"command={command}",
         f"out={_text(folder)}",
         f"hydra.run.dir={_text(folder)}",
         "hydra.output_subdir=null",
     ]
-    return Prepared(merged, continues=True)
+    return Prepared(merged, [*(item.text for item in recorded), *(item for item in prepared if _key(item) != "run")])
+
+
+def going_on(command: str, folder: Path) -> list[str]:
+    """Return the words after ``koopdqn`` that go on with a run of a command in its folder.
+
+    Raises:
+        BadInputError: the run's record is missing or damaged.
+    """
+    recorded = _recorded(str(folder), command)
+    return [command, f"run={shown_path(folder)}", *said_again(recorded, _copied(command, folder, recorded))]
 
 
 def _with_files(overrides: Sequence[str]) -> list[str]:
@@ -213,8 +231,10 @@ def _paths(keys: Iterable[str]) -> list[str]:
     return [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
 
 
-def _copied(folder: Path, recorded: Iterable[Recorded]) -> list[str]:
+def _copied(command: str, folder: Path, recorded: Iterable[Recorded]) -> list[str]:
     """Return the keys of the inputs that a run keeps a copy of."""
+    if command != "train":
+        return []
     copied = [key for key, name in _COPIES.items() if (folder / name).is_file()]
     # A person's answers are added to those that the run began with; a replay reads its journal to the end.
     at_terminal = any(item.key == "oracle" and item.value == "terminal" for item in recorded)

@@ -114,6 +114,23 @@ def check_record(
     return kept
 
 
+def said_again(recorded: Iterable[Recorded], replaced: Collection[str]) -> list[str]:
+    """Return the overrides that a command line has to say again, as :func:`check_record` does not take them from a record.
+
+    They are paths, which may lie elsewhere, but for the keys ``replaced``, and modules of classes not koopdqn's.
+    """
+    said, modules = [], set()
+    for item in recorded:
+        if item.root in _OF_THE_COMMAND or item.key in replaced:
+            continue
+        leaves = [(key.rpartition(".")[2], value) for key, value in _leaves(item.key, item.value)]
+        modules |= {str(value).rpartition(".")[0] for last, value in leaves if last == TARGET}
+        if any(last in PATH_NAMES and value is not None for last, value in leaves):
+            said.append(item.text)
+    own = sorted(module for module in modules if module.partition(".")[0] != "koopdqn")
+    return [*said, *([f"trust_modules=[{','.join(own)}]"] if own else [])]
+
+
 def _texts(path: Path) -> list[str]:
     import yaml
 
