@@ -11,11 +11,9 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from koopdqn.pose import Array, position_distance, rotation_distance
-from koopdqn.robot.analytic import ClosedForm
-from koopdqn.robot.arm import InverseResult
-from koopdqn.robot.chain import Chain
+from koopdqn.robot.arm import InverseResult, unwrapped_batch
+from koopdqn.robot.chain import Chain, ClosedForm
 from koopdqn.robot.model import Model, read_model
-from koopdqn.robot.unwrapping import unwrapped_batch
 from koopdqn.settings import Floats, Name, Names, PathText, Positive, Settings
 
 _SAME_RAD: Final = 1e-3
