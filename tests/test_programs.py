@@ -20,15 +20,12 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.paths import SmoothPath, hausdorff
 from koopdqn.pose import Array
-from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
-from koopdqn.programs.ros import write_json_trajectory, write_yaml_trajectory
-from koopdqn.programs.rtde import write_rtde
+from koopdqn.programs.ros import write_bag, write_json_trajectory, write_yaml_trajectory
 from koopdqn.programs.schema import ProgramFile
 from koopdqn.programs.settings import ProgramSettings
-from koopdqn.programs.smoothing import smoothed
-from koopdqn.programs.timing import Limits, timed
-from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.programs.timing import Limits, smoothed, timed
+from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
 from koopdqn.robot.scene import SceneBuilder
 from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.shelf import ShelfTask

@@ -230,7 +230,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
 def action_space(parts: EnvironmentParts) -> Discrete | Box[np.float32]:
     """Return the ten actions, or, where they are continuous, a twist's numbers, each from −1 to 1.
 
-    Of a twist longer than its balls allow the direction counts (:func:`koopdqn.tasks.twists.in_balls`).
+    Of a twist longer than its balls allow the direction counts (:func:`koopdqn.tasks.actions.in_balls`).
     """
     return Box(-1.0, 1.0, (parts.twist,), np.float32) if parts.twist else Discrete(COUNT)
 

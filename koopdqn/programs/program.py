@@ -11,8 +11,7 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.dynamics import Execution, play
 from koopdqn.pose import Array
 from koopdqn.programs.settings import NOMINAL, ProgramSettings
-from koopdqn.programs.smoothing import smoothed
-from koopdqn.programs.timing import Limits, Motion, timed
+from koopdqn.programs.timing import Limits, Motion, smoothed, timed
 from koopdqn.robot.arm import Arm
 from koopdqn.safety.guard import Guard
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
