@@ -1,6 +1,6 @@
 """The one form between a file and demonstrations: what was recorded, as it was recorded."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
@@ -51,7 +51,7 @@ class Recording:
     frame: str = ""
     other: "Recording | None" = None
     unused: tuple[str, ...] = ()
-    reasons: tuple[str, ...] = field(default=())
+    reasons: tuple[str, ...] = ()
 
     def row(self, index: int) -> str:
         """Return what to call a row."""
@@ -88,7 +88,7 @@ class ArrayColumns:
         where: the file, and the part of it, for messages.
         names: the columns' names.
         values: (N, columns).
-        units: units and the like that the file states, for :class:`Recording`.
+        lines: (N,) what to call each row in messages; counted from 0 if None.
     """
 
     where: str
