@@ -148,19 +148,21 @@ class Placement:
 
     def moved(self, demonstrations: Demonstrations) -> Demonstrations:
         """Return the moved demonstrations, without joint angles, which no longer fit."""
-        return self._applied(demonstrations, self._pose, self)
+        items = [Demonstration(item.times, self.poses(item.poses)) for item in demonstrations.items]
+        return replace(demonstrations, items=items, placement=self)
 
     def undone(self, demonstrations: Demonstrations) -> Demonstrations:
         """Return moved demonstrations at their recorded place."""
-        return self._applied(demonstrations, pose.inverse(self._pose), None)
+        items = [Demonstration(item.times, self.restored(item.poses)) for item in demonstrations.items]
+        return replace(demonstrations, items=items, placement=None)
 
     def poses(self, poses: Array) -> Array:
         """Return the moved poses (N, 7)."""
-        return pose.compose(np.broadcast_to(self._pose, poses.shape), poses)
+        return pose.compose(self._pose, poses)
 
     def restored(self, poses: Array) -> Array:
         """Return moved poses (N, 7) where they came from."""
-        return pose.compose(np.broadcast_to(pose.inverse(self._pose), poses.shape), poses)
+        return pose.compose(pose.inverse(self._pose), poses)
 
     def __str__(self) -> str:
         """Return the motion in words."""
@@ -170,11 +172,3 @@ class Placement:
     @property
     def _pose(self) -> Array:
         return pose.make(self.offset, pose.from_rotation_vector([0.0, 0.0, self.turn]))
-
-    @staticmethod
-    def _applied(demonstrations: Demonstrations, by: Array, placement: "Placement | None") -> Demonstrations:
-        items = [
-            Demonstration(item.times, pose.compose(np.broadcast_to(by, item.poses.shape), item.poses))
-            for item in demonstrations.items
-        ]
-        return replace(demonstrations, items=items, placement=placement)

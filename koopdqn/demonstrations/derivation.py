@@ -35,6 +35,8 @@ _FEWEST_STEPS, _MOST_STEPS = 50, 500
 _STEP_PER_TOLERANCE = 1.05
 # Least distance of a start from the goal, in goal tolerances.
 _LEAST_WAY = 4.0
+# Turning away by less is how people turn: up to 7° in the sets at hand.
+_AWAY_RAD = np.radians(15)
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,6 @@ class Derivation(TaskChoice):
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_about_turns_away(task),
-            *_ABOUT_ONE[: len(learned) == 1],
             *_about_together(learned),
             *self._about_held_out(aside, learned, goal, turning),
         )
@@ -287,6 +288,8 @@ def _about_turns_away(task: DemonstratedTask) -> list[str]:
 
 
 def _about_together(items: Sequence[Demonstration]) -> list[str]:
+    if len(items) == 1:
+        return ["one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated"]
     beside = compare(items)
     return [
         *filter(None, [beside.parted]),
@@ -298,17 +301,12 @@ def _about_together(items: Sequence[Demonstration]) -> list[str]:
     ]
 
 
-_ABOUT_ONE = ("one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated",)
-
-
 # Trajectories are first tried at every so-many-th pose: joint bounds over several steps are stricter.
 _EVERY = 6
 # Placements tried: turns about the vertical [rad], and offsets outward and upward [m].
 _TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
 _OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
 _UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
-# Turning away by less is how people turn: up to 7° in the sets at hand.
-_AWAY_RAD = np.radians(15)
 # The turn that counts as 0.1 m when sorting placements by size.
 _TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
 
