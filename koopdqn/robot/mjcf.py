@@ -63,11 +63,19 @@ class MjcfArm(Settings):
             raise ValueError(
                 f"path: must be the file whose SHA-256 is {known['sha256']}, found {model.sha256} for {known['path']}"
             )
-        read = _of(model)
         # One number stands for all joints.
         for key in _LISTS:
             if isinstance(known.get(key), int | float):
                 known[key] = (known[key],) * len(model.joints)
+        read = {
+            "name": model.name,
+            "joint_names": model.joints,
+            "joint_lower": tuple(model.chain.lower.tolist()),
+            "joint_upper": tuple(model.chain.upper.tolist()),
+            "torque_limits": model.torques,
+            "home": model.home,
+            "kinematics": "analytic" if _has_closed_form(model.chain) else "numeric",
+        }
         return {**read, **known, "sha256": model.sha256}
 
     @model_validator(mode="after")
@@ -220,20 +228,6 @@ class MjcfArm(Settings):
     @cached_property
     def _closed(self) -> ClosedForm:
         return ClosedForm(self._model.chain)
-
-
-def _of(model: Model) -> dict[str, Any]:
-    """Return the settings that a file gives."""
-    return {
-        "name": model.name,
-        "sha256": model.sha256,
-        "joint_names": model.joints,
-        "joint_lower": tuple(model.chain.lower.tolist()),
-        "joint_upper": tuple(model.chain.upper.tolist()),
-        "torque_limits": model.torques,
-        "home": model.home,
-        "kinematics": "analytic" if _has_closed_form(model.chain) else "numeric",
-    }
 
 
 def _has_closed_form(chain: Chain) -> bool:
