@@ -11,11 +11,9 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.tasks.demonstrated import CLEAR_OF_GOAL
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Motion, Reachability, Workcell
-
-# A start within this many goal tolerances of the goal is none.
-_CLEAR_OF_GOAL = 3.0
 
 
 @dataclass(frozen=True)
@@ -70,9 +68,8 @@ def _can_go(workcell: Workcell, start: Array, moved: Array) -> bool:
     goal = workcell.task.goal.copy()
     goal[pose.POSITION] += moved
     apart = float(pose.position_distance(start, goal))
-    return (
-        apart > _CLEAR_OF_GOAL * workcell.task.goal_tolerance_m and workcell.reachability.enter(goal).joints is not None
-    )
+    clear = apart > CLEAR_OF_GOAL * workcell.task.goal_tolerance_m
+    return clear and workcell.reachability.enter(goal).joints is not None
 
 
 class FlangeAlone(Reachability):
