@@ -114,15 +114,13 @@ class SceneBuilder:
             vertices: (V, 3) [m] of a mesh, in the obstacle's own frame.
         """
         name = f"{_OBSTACLE_NAMES}{name}"
-        # With a gap MuJoCo reports what is near, and nothing is pushed away before it touches.
-        near = {"gap": clearance}
-        place = {"pos": pose[:3], "quat": pose[3:]}
         if shape == "mesh":
             flat = " ".join(f"{value:.9g}" for vertex in vertices for value in vertex)
             self._arena.asset.add("mesh", name=name, vertex=flat)
-            self._arena.worldbody.add("geom", name=name, type=shape, mesh=name, rgba=_OBSTACLE, **near, **place)
-            return
-        self._arena.worldbody.add("geom", name=name, type=shape, size=size, rgba=_OBSTACLE, **near, **place)
+        form = {"mesh": name} if shape == "mesh" else {"size": size}
+        # With a gap MuJoCo reports what is near, and nothing is pushed away before it touches.
+        place = {"pos": pose[:3], "quat": pose[3:], "gap": clearance}
+        self._arena.worldbody.add("geom", name=name, type=shape, rgba=_OBSTACLE, **form, **place)
 
     def build(self) -> "Scene":
         """Compile the scene.
