@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from koopdqn import pose
+from koopdqn.demonstrations.preprocess import difference_bands
 from koopdqn.errors import WorkFailedError
 from koopdqn.pose import Array
 
@@ -47,10 +48,7 @@ def _within(values: Array, tolerance: float, unit: str) -> Array:
     from scipy.linalg import solveh_banded
 
     count = len(values)
-    third = np.diff(np.eye(count), n=3, axis=0)
-    bands = np.zeros((4, count))
-    for offset in range(4):
-        bands[3 - offset, offset:] = _PENALTY * (third[:, : count - offset] * third[:, offset:]).sum(axis=0)
+    bands = _PENALTY * difference_bands(count, 3)
     weights = np.ones(count)
     weights[[0, -1]] = _HELD
     for _ in range(_SMOOTHING_ROUNDS):
