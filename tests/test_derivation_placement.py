@@ -17,8 +17,8 @@ from koopdqn.demonstrations.dataset import Demonstrations, Placement
 from koopdqn.demonstrations.derivation import blocked_at, find_placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.tasks.obstacles import Obstacle

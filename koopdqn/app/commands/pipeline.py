@@ -18,7 +18,7 @@ from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, f
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
-from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
+from koopdqn.demonstrations.recordings.recording import NOTHING, ImportSettings
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.detour import around_obstacles

@@ -6,8 +6,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import ImportSettings, Recording
 from koopdqn.demonstrations.recordings.tree import Tree, check_size, recordings_of_tree
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array

@@ -6,10 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.layout import layout_of, listed
 from koopdqn.demonstrations.recordings.names import PoseColumns
-from koopdqn.demonstrations.recordings.recording import Columns, Recording
+from koopdqn.demonstrations.recordings.recording import Columns, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
-from koopdqn.demonstrations.recordings.declared import METRES, SECONDS, Clock, ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import METRES, SECONDS, Clock, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array

@@ -9,8 +9,7 @@ import h5py
 import numpy as np
 
 from koopdqn.demonstrations.recordings.columns import recordings_of
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
+from koopdqn.demonstrations.recordings.recording import ArrayColumns, ImportSettings, Recording
 from koopdqn.demonstrations.recordings.tree import check_size, recordings_of_tree
 from koopdqn.errors import BadInputError
 

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from koopdqn.demonstrations.recordings.declared import Angles, Clock, ImportSettings
 from koopdqn.demonstrations.recordings.names import (
     ANGLES,
     AXES,
@@ -22,6 +21,7 @@ from koopdqn.demonstrations.recordings.names import (
     parsed,
     poses_of,
 )
+from koopdqn.demonstrations.recordings.recording import Angles, Clock, ImportSettings
 from koopdqn.errors import BadInputError
 
 _COMMANDED: Final = ("target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "setpoint")

@@ -17,8 +17,7 @@ from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.recordings import arrays, datasets, ros, text
 from koopdqn.demonstrations.recordings.convert import converted
 from koopdqn.demonstrations.recordings.cutting import Cut, cut_between, motions_of
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.robot.arm import Arm
 

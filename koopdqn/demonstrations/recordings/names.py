@@ -5,8 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from koopdqn.demonstrations.recordings.declared import Angles, Clock, QuaternionOrder, Units
-from koopdqn.demonstrations.recordings.recording import RowRotation
+from koopdqn.demonstrations.recordings.recording import Angles, Clock, QuaternionOrder, RowRotation, Units
 from koopdqn.errors import BadInputError
 
 _LENGTH_UNITS: Final[dict[str, Units]] = {"m": "m", "meter": "m", "metre": "m", "meters": "m", "cm": "cm", "mm": "mm"}

@@ -6,8 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from koopdqn.demonstrations.recordings.columns import recordings_of, unnamed
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
+from koopdqn.demonstrations.recordings.recording import ArrayColumns, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import shown
