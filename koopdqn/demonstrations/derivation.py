@@ -119,7 +119,8 @@ class Derivation(TaskChoice):
         if turning != "free":
             preprocess.check_orientation(learned, goal, self.end_spread_rad)
         moved = [_oriented(preprocess.align_goal(item, goal), goal, turning) for item in learned]
-        task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
+        training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
+        task = self._task(training, goal, turning, kept)
         notes = (
             _about_recordings(cut, smoothed, kept),
             *_about_jumps(demonstrations.items),
@@ -129,7 +130,6 @@ class Derivation(TaskChoice):
             *_about_together(learned),
             *self._about_held_out(aside, learned, goal, turning),
         )
-        training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
         if turning == "free":
             aside = [_oriented(item, goal, turning) for item in aside]
         return Derived(task, training, tuple(aside), notes)

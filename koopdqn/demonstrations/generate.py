@@ -54,12 +54,8 @@ def generate(
 ) -> Generated:
     """Return demonstrations of a task, each with a random start, smooth variation and pace.
 
-    Args:
-        task: gives the demonstrator.
-        reachability: of the arm in the task's scene; every sample is reachable without collision.
-        settings: number and speed.
-        seed: fixes everything.
-        advance: called with the number of demonstrations done.
+    Every sample is reachable without collision. The seed fixes everything. ``advance`` is called with the number of
+    demonstrations done.
 
     Raises:
         WorkFailedError: the arm cannot follow the demonstrator even without variation, or refuses too many draws.

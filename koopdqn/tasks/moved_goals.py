@@ -36,14 +36,9 @@ class DrawnStarts:
 def draw_starts(
     workcell: Workcell, task: Task, rng: np.random.Generator, count: int, goal: Array | None = None
 ) -> DrawnStarts:
-    """Return ``count`` starts, and where the goals of a task whose goal moves are.
+    """Return ``count`` starts from a task's region, and by how much its goal is moved, if it moves.
 
-    Args:
-        workcell: arm and scene.
-        task: gives the start region.
-        rng: of the draws.
-        count: how many.
-        goal: (3,) [m] by which all goals are moved; None draws them.
+    All goals are moved by ``goal`` (3,) [m]; None draws them.
 
     Raises:
         BadInputError: hardly any start of the region can be taken.

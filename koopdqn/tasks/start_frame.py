@@ -83,11 +83,9 @@ class StartRegression:
 
     @classmethod
     def fitted(cls, starts: Array, local: Sequence[Array]) -> "StartRegression | None":
-        """Return the regression of trajectories on their starts; None where they all begin at one place.
+        """Return the regression of D trajectories on where they begin, ``starts`` (D, 3) [m]; None where all are one.
 
-        Args:
-            starts: (D, 3) where D trajectories begin [m].
-            local: their poses (N, 7) each, in the frame in which their own offset fades.
+        Their poses ``local`` (N, 7) each are told in the frame in which their own offset fades.
         """
         centre = starts.mean(axis=0)
         off = starts - centre
@@ -224,12 +222,9 @@ class StartFrame:
 
     @classmethod
     def following(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":
-        """Return the frame that follows starts as trajectories do.
+        """Return the frame that follows starts as trajectories (N, 7) at the agent's step do.
 
-        Args:
-            trajectories: demonstrated poses (N, 7) at the agent's step.
-            start: the nominal start, a pose (7,).
-            goal: where all end, a pose (7,).
+        The nominal start and the goal, where all end, are poses (7,).
         """
         return cls(start[pose.POSITION], goal[pose.POSITION], follows=True).fitted(trajectories)
 

@@ -20,10 +20,7 @@ _POSE: Final = ("x", "y", "z", "q0", "q1", "q2", "q3")
 def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording) -> list[Recording]:
     """Return the recordings of a table, one for each text of its column of demonstrations.
 
-    Args:
-        columns: the table.
-        declared: what is declared.
-        stated: what the file's format states of units, order and rate; the columns' own names come first.
+    What the file's format ``stated`` of units, order and rate holds where the columns' own names say nothing.
 
     Raises:
         BadInputError: the columns are not recognised, or a cell is no number.

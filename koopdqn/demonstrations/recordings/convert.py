@@ -34,10 +34,7 @@ _SAME_ARM: Final = (0.001, 0.01)
 def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -> tuple[Demonstration, list[str]]:
     """Return the demonstration that a recording shows, and what was taken for what and why, a line each.
 
-    Args:
-        recording: what was recorded.
-        declared: what its file does not say.
-        arm: gives the flange where only joints were recorded.
+    The arm gives the flange where only joints were recorded.
 
     Raises:
         BadInputError: something must be declared, named in the message; or the recording breaks a rule.

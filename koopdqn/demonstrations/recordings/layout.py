@@ -63,12 +63,7 @@ class Layout:
 
 
 def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Layout:
-    """Return what columns are.
-
-    Args:
-        where: file, for messages.
-        names: of the columns, in their order.
-        declared: roles given by name or order, and which pose is meant.
+    """Return what the columns of a file, for messages, are, by their names and by what is declared.
 
     Raises:
         BadInputError: there is no pose and no joints, or several poses and none is chosen.

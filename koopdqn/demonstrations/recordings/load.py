@@ -118,13 +118,9 @@ class Loaded:
 def load(path: Path, declared: ImportSettings, arm: Arm | None) -> Loaded:
     """Return what a file or a folder holds.
 
-    koopdqn's own HDF5 is read as it stands. All is read in a process of its own, bounded in time and memory
-    (:mod:`koopdqn.confined`).
-
-    Args:
-        path: the file, or the folder of a ROS 2 bag or a LeRobot data set.
-        declared: what it does not say.
-        arm: gives the flange where only joints were recorded; None refuses those.
+    A folder is a ROS 2 bag or a LeRobot data set. koopdqn's own HDF5 is read as it stands. All is read in a process of
+    its own, bounded in time and memory (:mod:`koopdqn.confined`). The arm gives the flange where only joints were
+    recorded; None refuses those.
 
     Raises:
         BadInputError: it is of no kind that is read, is damaged or too large, or something must be declared.
