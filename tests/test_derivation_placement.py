@@ -34,7 +34,7 @@ PLACEMENTS = st.builds(
 @cache
 def arm() -> Reachability:
     parts = load_parts()
-    return Reachability(parts.arm, build_scene(parts.task, parts.arm), parts.arm.step_seconds)
+    return Reachability(parts.arm, build_scene(parts.task, parts.arm))
 
 
 def shown() -> Demonstrations:

@@ -258,7 +258,7 @@ def _told(steps: Steps, which: np.ndarray) -> dict[str, Any]:
 
 
 def _frames_per_second(workcell: Workcell) -> int:
-    return max(1, round(1.0 / workcell.reachability.step_seconds))
+    return max(1, round(1.0 / workcell.arm.step_seconds))
 
 
 def _check_no_options(options: dict[str, Any] | None) -> None:

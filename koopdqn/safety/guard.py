@@ -135,7 +135,7 @@ class Guard:
     def _too_fast(self, joints: Array, reached: Array, before: Array) -> str:
         reachability, settings = self.workcell.reachability, self.settings
         seconds = float(reachability.durations(joints)[0])
-        most = settings.stretch * reachability.step_seconds
+        most = settings.stretch * reachability.arm.step_seconds
         # Rounding of a quotient is no excess.
         if seconds > most * (1.0 + 1e-9):
             return f"the joints' speed limits must allow it within {most:g} s, found that it takes {seconds:.3g} s"

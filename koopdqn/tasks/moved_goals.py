@@ -88,5 +88,5 @@ def trained_in(workcell: Workcell) -> Workcell:
     if workcell.task.goal_half_range_m is None:
         return workcell
     with_arm = workcell.reachability
-    alone = FlangeAlone(with_arm.arm, with_arm.scene, with_arm.step_seconds, with_arm.posture)
+    alone = FlangeAlone(with_arm.arm, with_arm.scene, with_arm.posture)
     return replace(workcell, reachability=alone)
