@@ -13,8 +13,7 @@ from parts import load_parts
 from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.demonstrations.csv import write_csv
-from koopdqn.demonstrations.dataset import Demonstrations, Placement
-from koopdqn.demonstrations.derivation import blocked_at, find_placement
+from koopdqn.demonstrations.dataset import Demonstrations, Placement, blocked_at, find_placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.demonstrations.recordings.load import load

@@ -13,8 +13,8 @@ from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described, read_artifact, reading
 from koopdqn.demonstrations.cleaning import without_outliers
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, blocked_at, find_placement
+from koopdqn.demonstrations.derivation import Derivation, Derived
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
