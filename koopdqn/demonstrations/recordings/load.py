@@ -139,10 +139,10 @@ def load(path: Path, declared: ImportSettings, arm: Arm | None) -> Loaded:
     own = found is _TEXT and not declared.given() and is_own(text.header_of(head))
     # Our own tell demonstrations apart: a rest within one is no end.
     cut = declared.cut is True or not own
-    about, arrays = _bounded(path, lambda: _read(path, found, declared, arm, cut))
+    about, numbers = _bounded(path, lambda: _read(path, found, declared, arm, cut))
     if own:
-        return Loaded(path, "CSV, as koopdqn writes it", (), *_unpacked(about, arrays), own=True)
-    return Loaded(path, f"{found.name}, as {why}", tuple(about["reasons"]), *_unpacked(about, arrays))
+        return Loaded(path, "CSV, as koopdqn writes it", (), *_unpacked(about, numbers), own=True)
+    return Loaded(path, f"{found.name}, as {why}", tuple(about["reasons"]), *_unpacked(about, numbers))
 
 
 def _head_of(path: Path) -> bytes:
@@ -170,7 +170,7 @@ def _kind_of(path: Path, head: bytes) -> tuple[Kind, str]:
     if path.suffix.lower() in _PICKLES or (head[:1] == b"\x80" and head[1:2] in (b"\x02", b"\x03", b"\x04", b"\x05")):
         raise BadInputError(f"demos {path}: {arrays.PICKLED}")
     for place, sign, suffix, kind, why in _SIGNS:
-        if head[place:].startswith(sign) and path.suffix.lower().endswith(suffix):
+        if head[place:].startswith(sign) and suffix in ("", path.suffix.lower()):
             return kind, why
     if text.is_text(head):
         return _TEXT, "it is text"
