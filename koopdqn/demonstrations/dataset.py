@@ -162,11 +162,11 @@ class Placement:
         return replace(demonstrations, items=items, placement=None)
 
     def poses(self, poses: Array) -> Array:
-        """Return the moved poses (N, 7)."""
+        """Return the moved poses (..., 7)."""
         return pose.compose(self._pose, poses)
 
     def restored(self, poses: Array) -> Array:
-        """Return moved poses (N, 7) where they came from."""
+        """Return moved poses (..., 7) where they came from."""
         return pose.compose(pose.inverse(self._pose), poses)
 
     def __str__(self) -> str:
