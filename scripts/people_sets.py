@@ -15,8 +15,8 @@ from koopdqn import console, pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.preprocess import on_straight_turn
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.paths import hausdorff, mean_poses, to_count

@@ -19,8 +19,7 @@ from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.folder import ensure_resolver
 from koopdqn.artifact import read_artifact
-from koopdqn.demonstrations.recordings.kinds import KINDS
-from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.load import KINDS, load
 from koopdqn.errors import KoopdqnError
 from koopdqn.evaluation.results import read_report
 from koopdqn.evaluation.schema import EvaluationFile

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING, ImportSettings
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
 from koopdqn.settings import validate

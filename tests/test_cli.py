@@ -277,7 +277,7 @@ def test_a_job_can_be_sent_to_a_launchers_worker() -> None:
     from koopdqn.app.commands import run
     from koopdqn.app.hydra.application import Job
 
-    job = Job("train", Path("outcomes"), as_json=True, continues=False, work=run)
+    job = Job("train", Path("outcomes"), as_json=True, record=None, work=run)
     assert pickle.loads(pickle.dumps(job)) == job
 
 

@@ -263,7 +263,7 @@ class TestOverrides:
     def test_continuing_puts_the_recorded_overrides_first(self, tmp_path: Path) -> None:
         record(tmp_path, ["task=knife", "seed=4", "out=elsewhere", "command=train"])
         prepared = prepare("train", [f"run={tmp_path}", "seed=5", "agent.episodes=9"])
-        assert prepared.continues
+        assert prepared.record is not None
         assert prepared.overrides == [
             "task=knife",
             f"run={tmp_path}",
@@ -305,7 +305,7 @@ class TestOverrides:
         record(tmp_path, ["task=knife", "out=here", "demos=x.hdf5", "command=train"])
         found = prepare("eval", [f"run={tmp_path}", "seed=1"])
         assert found.overrides == ["task=knife", "seed=1", f"run={tmp_path}", "command=eval"]
-        assert not found.continues
+        assert found.record is None
 
     def test_a_run_that_cannot_be_continued_is_explained(self, tmp_path: Path) -> None:
         def refusal(*overrides: str, multirun: bool = False) -> str:

@@ -37,9 +37,8 @@ from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import read_policy, write_policy
 from koopdqn.rl.settings import ActorCriticSettings
-from koopdqn.tasks.actions import FIRST_TWIST, SUGGESTED
+from koopdqn.tasks.actions import FIRST_TWIST, SUGGESTED, moved_by
 from koopdqn.tasks.rollout import SUCCESS, roll_out
-from koopdqn.tasks.twists import moved_by
 from koopdqn.tasks.workcell import Workcell
 
 FEW = {"batch": 8, "replay": 600, "warm_up": 60, "episodes_at_once": 4, "updates_per_round": 4, "exploring_steps": 8}

@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from koopdqn import pose
 from koopdqn.demonstrations.csv import ROTATIONS, Rotation, write_csv
 from koopdqn.demonstrations.dataset import Demonstration
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING
 from koopdqn.errors import BadInputError
 
 HEAD = "t,x,y,z,qw,qx,qy,qz"

@@ -22,8 +22,8 @@ from koopdqn.confined import confined
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING
 from koopdqn.errors import BadInputError
 from koopdqn.files import DEEPEST_JSON, parse_json, read_json
 from koopdqn.oracles.base import Answer

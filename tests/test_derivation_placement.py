@@ -13,12 +13,11 @@ from parts import load_parts
 from koopdqn import pose
 from koopdqn.app import cli
 from koopdqn.demonstrations.csv import write_csv
-from koopdqn.demonstrations.dataset import Demonstrations, Placement
-from koopdqn.demonstrations.derivation import blocked_at, find_placement
+from koopdqn.demonstrations.dataset import Demonstrations, Placement, blocked_at, find_placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.tasks.obstacles import Obstacle
@@ -34,7 +33,7 @@ PLACEMENTS = st.builds(
 @cache
 def arm() -> Reachability:
     parts = load_parts()
-    return Reachability(parts.arm, build_scene(parts.task, parts.arm), parts.arm.step_seconds)
+    return Reachability(parts.arm, build_scene(parts.task, parts.arm))
 
 
 def shown() -> Demonstrations:

@@ -61,7 +61,7 @@ class _Refusing(Reachability):
 
 
 def test_a_small_set_is_the_beginning_of_a_large_one_whatever_was_refused(workcell: Workcell, parts: Parts) -> None:
-    arm = _Refusing(workcell.arm, workcell.scene, workcell.arm.step_seconds, workcell.reachability.posture)
+    arm = _Refusing(workcell.arm, workcell.scene, workcell.reachability.posture)
     sets = [generate(parts.task, arm, parts.demo.model_copy(update={"count": n}), 0) for n in (1, 2, 5)]
     assert min(sets[-1].redrawn[reason] for reason in ("collision", "unreachable")) > 0
     for smaller, larger in itertools.pairwise(sets):

@@ -396,6 +396,6 @@ def test_the_viewer_of_dm_control_sees_the_arm_move(workcell: Workcell, reward: 
     for _ in range(6):
         runtime.tick(0.02, paused=False)
     data = environment.physics.data
-    assert data.time == pytest.approx(6 * workcell.reachability.step_seconds)
+    assert data.time == pytest.approx(6 * workcell.arm.step_seconds)
     joints = data.qpos[workcell.scene.joint_index]
     np.testing.assert_allclose(workcell.arm.forward(joints), environment.pose, atol=1e-6)

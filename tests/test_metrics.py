@@ -262,7 +262,7 @@ def test_what_a_users_task_measures_is_reported() -> None:
     task = _Measuring.model_construct(**dict(shelf().task))
     lines = [line((0, 0, height), (0.1, 0, height), 11) for height in (-0.1, 0.3)]
     report = measured([episode(each) for each in lines], lines, task)
-    step = shelf().reachability.step_seconds
+    step = shelf().reachability.arm.step_seconds
     assert {name: tuple(found) for name, found in report.model_dump()["task_measures"].items()} == {
         "lowest_m": ("mean", "min", "max"),
         "seconds": ("mean", "min", "max"),

@@ -251,7 +251,7 @@ def followed(folder: Path, text: str) -> Execution:
         "robot=mjcf", f"robot.path='{folder}/arm.xml'", "robot.site=flange", "robot.torque_limits=100"
     ).robot
     scene = build_scene(load_parts().task, arm)
-    cell = Workcell(load_parts().task, arm, scene, Reachability(arm, scene, arm.step_seconds))
+    cell = Workcell(load_parts().task, arm, scene, Reachability(arm, scene))
     way = np.array(arm.home) + 0.002 * np.arange(60.0)[:, None] * np.eye(7)[0]
     return play(cell, way, np.full(59, 0.02))
 

@@ -14,8 +14,8 @@ from koopdqn.app import cli
 from koopdqn.demonstrations.cleaning import without_outliers
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
+from koopdqn.demonstrations.recordings.recording import NOTHING
 
 
 @pytest.fixture

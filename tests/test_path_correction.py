@@ -22,9 +22,8 @@ from koopdqn.rl.policy import Policy, read_policy, write_corrected, write_policy
 from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
 from koopdqn.settings import validate
-from koopdqn.tasks.actions import reached_poses
+from koopdqn.tasks.actions import reached_poses, twists_between
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.tasks.twists import twists_between
 
 LIMIT = 800
 X = np.linspace(0.0, 0.4, 41)

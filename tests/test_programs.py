@@ -20,15 +20,12 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.paths import SmoothPath, hausdorff
 from koopdqn.pose import Array
-from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
-from koopdqn.programs.ros import write_json_trajectory, write_yaml_trajectory
-from koopdqn.programs.rtde import write_rtde
+from koopdqn.programs.ros import write_bag, write_json_trajectory, write_yaml_trajectory
 from koopdqn.programs.schema import ProgramFile
 from koopdqn.programs.settings import ProgramSettings
-from koopdqn.programs.smoothing import smoothed
-from koopdqn.programs.timing import Limits, timed
-from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.programs.timing import Limits, smoothed, timed
+from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
 from koopdqn.robot.scene import SceneBuilder
 from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.shelf import ShelfTask
@@ -236,7 +233,7 @@ def test_a_contact_on_the_way_is_refused_by_the_names_of_what_touches() -> None:
     scene = builder.build()
     free = cell.reachability
     # The learned path knows nothing of the pillar; the check does.
-    blind = replace(cell, scene=scene, reachability=Reachability(free.arm, free.scene, free.step_seconds, free.posture))
+    blind = replace(cell, scene=scene, reachability=Reachability(free.arm, free.scene, free.posture))
     with pytest.raises(WorkFailedError, match=r"nothing may touch, found .*pillar.* after \d.\d+ s at \["):
         made(blind)
 
@@ -251,7 +248,7 @@ def test_a_start_beyond_a_joints_range_is_bad_input() -> None:
 def test_the_program_is_made_where_demonstrations_were_recorded() -> None:
     cell = shelf()
     scene = SceneBuilder(cell.arm).build()
-    free = replace(cell, scene=scene, reachability=Reachability(cell.arm, scene, cell.arm.step_seconds))
+    free = replace(cell, scene=scene, reachability=Reachability(cell.arm, scene))
     placement = Placement(np.array([0.03, -0.05, 0.02]), 0.3)
     here, there = made(free), made(free, placement)
     np.testing.assert_allclose(placement.poses(there.motion.poses)[0], here.motion.poses[0], atol=1e-9)

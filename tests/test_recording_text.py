@@ -25,9 +25,9 @@ from recording_files import (
 )
 
 from koopdqn import pose
-from koopdqn.demonstrations.recordings.declared import NOTHING
 from koopdqn.demonstrations.recordings.load import load
 from koopdqn.demonstrations.recordings.names import parsed
+from koopdqn.demonstrations.recordings.recording import NOTHING
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn.safety import PersonNear, protective_distance, separation
-from koopdqn.safety.schema import separation_report
+from koopdqn.safety.separation import separation_report
 
 NUMBERS = {
     "speed_m_s": 1.6,

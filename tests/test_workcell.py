@@ -13,7 +13,7 @@ def test_its_parts_are_of_one_piece(workcell: Workcell, parts: Parts) -> None:
     assert workcell.task is parts.task
     assert workcell.arm is workcell.scene.arm is workcell.reachability.arm
     assert workcell.scene is workcell.reachability.scene
-    assert workcell.reachability.step_seconds == parts.arm.step_seconds
+    assert workcell.arm.step_seconds == parts.arm.step_seconds
 
 
 @pytest.mark.parametrize(

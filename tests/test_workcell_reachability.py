@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from parts import with_fields
+from parts import Parts, with_fields
 
 from koopdqn import pose
 from koopdqn.app.commands.configuration import Configuration
@@ -62,7 +62,7 @@ def test_a_batch_of_motions_is_each_by_itself(workcell: Workcell) -> None:
     assert workcell.reachability.move_batch(np.zeros((0, 7)), np.zeros((0, 6))) == []
 
 
-def test_a_step_takes_as_long_as_its_slowest_joint_needs(workcell: Workcell) -> None:
+def test_a_step_takes_as_long_as_its_slowest_joint_needs(parts: Parts, workcell: Workcell) -> None:
     start = workcell.task.nominal_start
     wished = start.copy()
     wished[1] += 0.02
@@ -72,7 +72,7 @@ def test_a_step_takes_as_long_as_its_slowest_joint_needs(workcell: Workcell) -> 
     needed = float((np.abs(moved - joints) / np.array(workcell.arm.velocity_limits)).max())
     path = np.array([joints, moved, moved])
     for seconds in (0.5 * needed, 2.0 * needed):
-        reachability = Reachability(workcell.arm, workcell.scene, seconds)
+        reachability = Reachability(parts.arm.model_copy(update={"step_seconds": seconds}), workcell.scene)
         assert reachability.move(wished, joints).joints is not None
         np.testing.assert_allclose(reachability.durations(path), [max(seconds, needed), seconds])
 
@@ -93,7 +93,7 @@ def test_entering_takes_the_free_solution_nearest_the_posture_but_with_room_to_t
         posture = unwound.copy()
         posture[joint] += turns * 2.0 * np.pi
         assert np.any(np.abs(posture) > np.pi)
-        wound = Reachability(workcell.arm, workcell.scene, workcell.arm.step_seconds, posture)
+        wound = Reachability(workcell.arm, workcell.scene, posture)
         joints = wound.enter(start).joints
         assert joints is not None
         np.testing.assert_allclose(joints, unwound, atol=1e-9)
@@ -111,7 +111,7 @@ def test_far_starts_are_entered_in_the_nominal_one_s_posture_unless_it_collides(
     task, reachability = knife.task.with_starts_scaled(3.0), knife.reachability
     nominal = entered(knife, knife.task.nominal_start)
     np.testing.assert_allclose(reachability.posture, nominal, atol=1e-12)
-    from_home = Reachability(knife.arm, knife.scene, knife.arm.step_seconds)
+    from_home = Reachability(knife.arm, knife.scene)
     starts, joints, _ = reachability.draw_starts(task, np.random.default_rng(0), 40)
     others = np.array([from_home.enter(start).joints for start in starts])
     near, also_from_home = (np.abs(taken - nominal).max(axis=1) < np.radians(60.0) for taken in (joints, others))

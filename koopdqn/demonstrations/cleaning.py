@@ -148,8 +148,9 @@ def _alone(values: Array) -> np.ndarray:
 
 
 def _residual(values: Array) -> Array:
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, ((2, 2), (0, 0)), mode="edge"), 5, axis=0)
-    return np.asarray(values - np.median(windows, axis=-1))
+    from scipy.ndimage import median_filter
+
+    return np.asarray(values - median_filter(values, size=(5, 1), mode="nearest"))
 
 
 def _rows(item: Demonstration, kept: np.ndarray) -> Demonstration:

@@ -1,6 +1,6 @@
 """Demonstrations written as CSV, one sample a row; :mod:`koopdqn.demonstrations.recordings` reads it and any other."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Final, Literal
@@ -11,7 +11,6 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.files import write_text
-from koopdqn.pose import Array
 from koopdqn.settings import Settings
 
 Rotation = Literal["quaternion", "vector", "angles"]
@@ -43,18 +42,9 @@ def write_csv(path: Path, demonstrations: Sequence[Demonstration], rotation: Rot
     lines = StringIO()
     lines.write(",".join((*COLUMNS, *ROTATIONS[rotation])) + "\n")
     for index, item in enumerate(demonstrations):
-        turned = _COLUMNS[rotation](item.poses[:, pose.QUATERNION])
+        turned = item.poses[:, pose.QUATERNION]
+        if rotation != "quaternion":
+            turned = pose.to_rotation_vector(turned) if rotation == "vector" else pose.to_roll_pitch_yaw(turned)
         for row in np.concatenate([item.times[:, None], item.poses[:, pose.POSITION], turned], axis=1).tolist():
             lines.write(",".join([str(index), *map(repr, row)]) + "\n")
     write_text(path, lines.getvalue())
-
-
-def _same(quaternions: Array) -> Array:
-    return quaternions
-
-
-_COLUMNS: Final[dict[Rotation, Callable[[Array], Array]]] = {
-    "quaternion": _same,
-    "vector": pose.to_rotation_vector,
-    "angles": pose.to_roll_pitch_yaw,
-}

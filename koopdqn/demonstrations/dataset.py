@@ -1,8 +1,10 @@
-"""Demonstrated trajectories as immutable, validated data."""
+"""Demonstrated trajectories as immutable, validated data, and where they are placed."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +12,9 @@ from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import FARTHEST_M
+
+if TYPE_CHECKING:
+    from koopdqn.tasks.workcell import Reachability
 
 _QUATERNION_TOLERANCE = 1e-3
 _FEWEST_JOINTS = 6
@@ -148,19 +153,21 @@ class Placement:
 
     def moved(self, demonstrations: Demonstrations) -> Demonstrations:
         """Return the moved demonstrations, without joint angles, which no longer fit."""
-        return self._applied(demonstrations, self._pose, self)
+        items = [Demonstration(item.times, self.poses(item.poses)) for item in demonstrations.items]
+        return replace(demonstrations, items=items, placement=self)
 
     def undone(self, demonstrations: Demonstrations) -> Demonstrations:
         """Return moved demonstrations at their recorded place."""
-        return self._applied(demonstrations, pose.inverse(self._pose), None)
+        items = [Demonstration(item.times, self.restored(item.poses)) for item in demonstrations.items]
+        return replace(demonstrations, items=items, placement=None)
 
     def poses(self, poses: Array) -> Array:
-        """Return the moved poses (N, 7)."""
-        return pose.compose(np.broadcast_to(self._pose, poses.shape), poses)
+        """Return the moved poses (..., 7)."""
+        return pose.compose(self._pose, poses)
 
     def restored(self, poses: Array) -> Array:
-        """Return moved poses (N, 7) where they came from."""
-        return pose.compose(np.broadcast_to(pose.inverse(self._pose), poses.shape), poses)
+        """Return moved poses (..., 7) where they came from."""
+        return pose.compose(pose.inverse(self._pose), poses)
 
     def __str__(self) -> str:
         """Return the motion in words."""
@@ -171,10 +178,60 @@ class Placement:
     def _pose(self) -> Array:
         return pose.make(self.offset, pose.from_rotation_vector([0.0, 0.0, self.turn]))
 
-    @staticmethod
-    def _applied(demonstrations: Demonstrations, by: Array, placement: "Placement | None") -> Demonstrations:
-        items = [
-            Demonstration(item.times, pose.compose(np.broadcast_to(by, item.poses.shape), item.poses))
-            for item in demonstrations.items
-        ]
-        return replace(demonstrations, items=items, placement=placement)
+
+# Trajectories are first tried at every so-many-th pose: joint bounds over several steps are stricter.
+_EVERY = 6
+# Placements tried: turns about the vertical [rad], and offsets outward and upward [m].
+_TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
+_OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
+_UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
+# The turn that counts as 0.1 m when sorting placements by size.
+_TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
+
+
+def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
+    """Return the smallest placement tried in which the arm can follow all trajectories (N, 7).
+
+    The set is turned about its own middle, and moved outward or inward and up or down; a turn about the base's axis
+    would change nothing but the first joint. Where that does not do, as with what a camera saw, the same is tried with
+    its middle where the flange rests.
+
+    Raises:
+        BadInputError: there is none.
+    """
+    middle = np.concatenate(trajectories)[:, pose.POSITION].mean(axis=0)
+    tried = 0
+    rest = reachability.arm.forward(reachability.arm.home)[pose.POSITION]
+    for placement in chain(_candidates(middle, middle), _candidates(middle, rest)):
+        tried += 1
+        placed = [placement.poses(rows) for rows in trajectories]
+        # Coarsely first: faster, and stricter where joints are fast.
+        if all(not blocked_at(reachability, rows, every) for every in (_EVERY, 1) for rows in placed):
+            return placement
+    raise BadInputError(
+        f"demos.place=auto: must find a place where the arm can follow all {len(trajectories)} demonstrations, found"
+        f" none among {tried} turns and moves"
+    )
+
+
+def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) -> str:
+    """Return where and why the arm cannot follow every ``every``-th pose of a trajectory (N, 7); empty if it can."""
+    rows = trajectory[::every]
+    joints, motion = reachability.follow_as_far(rows)
+    if motion.joints is not None:
+        return ""
+    share, place = len(joints) / max(len(rows) - 1, 1), np.round(rows[len(joints), pose.POSITION], 3).tolist()
+    return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
+
+
+def _candidates(middle: Array, place: Array) -> Iterator[Placement]:
+    """Yield placements of a set that bring its middle (3,) [m] to around a place (3,) [m], the smallest first."""
+    flat = np.array([place[0], place[1], 0.0])
+    outward = flat / max(float(np.linalg.norm(flat)), 1e-9)
+    moves = sorted(
+        product(_TURNS, _OUTWARD, _UPWARD),
+        key=lambda move: abs(move[0]) / _TURN_LIKE_TEN_CENTIMETRES + (abs(move[1]) + abs(move[2])) / 0.1,
+    )
+    for turn, out, up in moves:
+        turned = pose.rotate(pose.from_rotation_vector([0.0, 0.0, turn]), middle)
+        yield Placement(place + out * outward + [0.0, 0.0, up] - turned, float(turn))

@@ -1,9 +1,8 @@
-"""Derives a task from demonstrations: start region, goal, step, rotation type; and finds a reachable placement."""
+"""Derives a task from demonstrations: start region, goal, step, rotation type."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, product
-from typing import TYPE_CHECKING, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,7 +10,7 @@ from pydantic import Field, model_validator
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
 from koopdqn.demonstrations.cleaning import jump_of
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.inspection import compare
 from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
 from koopdqn.errors import BadInputError
@@ -25,9 +24,6 @@ from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.task import TaskChoice, check_goal_moves_alone
 
-if TYPE_CHECKING:
-    from koopdqn.tasks.workcell import Reachability
-
 # The default step [m], and its bounds: it is shorter where a demonstration would have too few steps, longer where it
 # would have too many.
 _STEP_M, _LEAST_STEP_M, _LARGEST_STEP_M = 0.0021, 0.0005, 0.005
@@ -35,6 +31,8 @@ _FEWEST_STEPS, _MOST_STEPS = 50, 500
 _STEP_PER_TOLERANCE = 1.05
 # Least distance of a start from the goal, in goal tolerances.
 _LEAST_WAY = 4.0
+# Turning away by less is how people turn: up to 7° in the sets at hand.
+_AWAY_RAD = np.radians(15)
 
 
 @dataclass(frozen=True)
@@ -117,18 +115,17 @@ class Derivation(TaskChoice):
         if turning != "free":
             preprocess.check_orientation(learned, goal, self.end_spread_rad)
         moved = [_oriented(preprocess.align_goal(item, goal), goal, turning) for item in learned]
-        task = self._task(Demonstrations(self.name, demonstrations.arm, moved), goal, turning, kept)
+        training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
+        task = self._task(training, goal, turning, kept)
         notes = (
             _about_recordings(cut, smoothed, kept),
             *_about_jumps(demonstrations.items),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_about_turns_away(task),
-            *_ABOUT_ONE[: len(learned) == 1],
             *_about_together(learned),
             *self._about_held_out(aside, learned, goal, turning),
         )
-        training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
         if turning == "free":
             aside = [_oriented(item, goal, turning) for item in aside]
         return Derived(task, training, tuple(aside), notes)
@@ -287,6 +284,8 @@ def _about_turns_away(task: DemonstratedTask) -> list[str]:
 
 
 def _about_together(items: Sequence[Demonstration]) -> list[str]:
+    if len(items) == 1:
+        return ["one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated"]
     beside = compare(items)
     return [
         *filter(None, [beside.parted]),
@@ -296,66 +295,3 @@ def _about_together(items: Sequence[Demonstration]) -> list[str]:
             for index in beside.odd
         ),
     ]
-
-
-_ABOUT_ONE = ("one demonstration: the trust domain is a tube of fixed width around it, and no coverage is calibrated",)
-
-
-# Trajectories are first tried at every so-many-th pose: joint bounds over several steps are stricter.
-_EVERY = 6
-# Placements tried: turns about the vertical [rad], and offsets outward and upward [m].
-_TURNS = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])
-_OUTWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3)
-_UPWARD = (0.0, 0.1, -0.1, 0.2, -0.2, 0.3, -0.3, 0.4)
-# Turning away by less is how people turn: up to 7° in the sets at hand.
-_AWAY_RAD = np.radians(15)
-# The turn that counts as 0.1 m when sorting placements by size.
-_TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
-
-
-def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
-    """Return the smallest placement tried in which the arm can follow all trajectories (N, 7).
-
-    The set is turned about its own middle, and moved outward or inward and up or down; a turn about the base's axis
-    would change nothing but the first joint. Where that does not do, as with what a camera saw, the same is tried with
-    its middle where the flange rests.
-
-    Raises:
-        BadInputError: there is none.
-    """
-    middle = np.concatenate(trajectories)[:, pose.POSITION].mean(axis=0)
-    tried = 0
-    rest = reachability.arm.forward(reachability.arm.home)[pose.POSITION]
-    for placement in chain(_candidates(middle, middle), _candidates(middle, rest)):
-        tried += 1
-        placed = [placement.poses(rows) for rows in trajectories]
-        # Coarsely first: faster, and stricter where joints are fast.
-        if all(not blocked_at(reachability, rows, every) for every in (_EVERY, 1) for rows in placed):
-            return placement
-    raise BadInputError(
-        f"demos.place=auto: must find a place where the arm can follow all {len(trajectories)} demonstrations, found"
-        f" none among {tried} turns and moves"
-    )
-
-
-def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) -> str:
-    """Return where and why the arm cannot follow every ``every``-th pose of a trajectory (N, 7); empty if it can."""
-    rows = trajectory[::every]
-    joints, motion = reachability.follow_as_far(rows)
-    if motion.joints is not None:
-        return ""
-    share, place = len(joints) / max(len(rows) - 1, 1), np.round(rows[len(joints), pose.POSITION], 3).tolist()
-    return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
-
-
-def _candidates(middle: Array, place: Array) -> Iterator[Placement]:
-    """Yield placements of a set that bring its middle (3,) [m] to around a place (3,) [m], the smallest first."""
-    flat = np.array([place[0], place[1], 0.0])
-    outward = flat / max(float(np.linalg.norm(flat)), 1e-9)
-    moves = sorted(
-        product(_TURNS, _OUTWARD, _UPWARD),
-        key=lambda move: abs(move[0]) / _TURN_LIKE_TEN_CENTIMETRES + (abs(move[1]) + abs(move[2])) / 0.1,
-    )
-    for turn, out, up in moves:
-        turned = pose.rotate(pose.from_rotation_vector([0.0, 0.0, turn]), middle)
-        yield Placement(place + out * outward + [0.0, 0.0, up] - turned, float(turn))

@@ -13,16 +13,14 @@ from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, at_arc_lengths, hausdorff
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.person import Expert
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability
 
 _HARMONICS = 3
+# Steps of the demonstrator to one of the agent.
 _SUBSTEPS = 4
 # Least Hausdorff distance of two demonstrations from one start, as a share of the variation: 5.2 mm for 4.5 mm.
 _LEAST_DIFFERENCE = 1.155
-# Smooth paths are compared at every fourth pose, a step apart.
-_COARSER = _SUBSTEPS
 
 
 class DemonstrationSettings(Settings):
@@ -56,24 +54,22 @@ def generate(
 ) -> Generated:
     """Return demonstrations of a task, each with a random start, smooth variation and pace.
 
-    Args:
-        task: gives the demonstrator.
-        reachability: of the arm in the task's scene; every sample is reachable without collision.
-        settings: number and speed.
-        seed: fixes everything.
-        advance: called with the number of demonstrations done.
+    Every sample is reachable without collision. The seed fixes everything. ``advance`` is called with the number of
+    demonstrations done.
 
     Raises:
         WorkFailedError: the arm cannot follow the demonstrator even without variation, or refuses too many draws.
     """
     rng = np.random.default_rng([seed, 1])
     items: list[Demonstration] = []
-    nominal = _follow(task, task.nominal_start)
+    expert = task.expert(finer=_SUBSTEPS)
+    limit = 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
+    nominal = expert.roll_out(task.nominal_start, limit)
     kept: list[Array] = []
     redrawn: dict[str, int] = {}
     while len(items) < settings.count:
         draws, reason = _draws(task, reachability, rng, nominal, kept, settings.count - len(items))
-        paths = _expert(task).roll_outs(np.array([draw.start for draw in draws]).reshape(-1, 7), _limit(task))
+        paths = expert.roll_outs(np.array([draw.start for draw in draws]).reshape(-1, 7), limit)
         for draw, path in zip(draws, paths, strict=True):
             times, poses = _paced(_varied(path, draw.variation), settings, draw.swells)
             joints, refused = reachability.follow(poses)
@@ -86,7 +82,7 @@ def generate(
             advance(len(items))
         if reason:
             if not redrawn:
-                _check_path(task, reachability, settings)
+                _check_path(task, reachability, settings, nominal)
             redrawn[reason] = redrawn.get(reason, 0) + 1
             if sum(redrawn.values()) > 20 * (len(items) + 5):
                 raise WorkFailedError(
@@ -130,9 +126,9 @@ def _draws(
     return draws, ""
 
 
-def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings) -> None:
-    """Raise WorkFailedError unless the arm can follow the demonstrator without variation."""
-    _, poses = _paced(_follow(task, task.nominal_start), settings, _swells(np.random.default_rng(0)))
+def _check_path(task: Task, reachability: Reachability, settings: DemonstrationSettings, nominal: Array) -> None:
+    """Raise WorkFailedError unless the arm can follow the demonstrator's path (N, 7) without variation."""
+    _, poses = _paced(nominal, settings, _swells(np.random.default_rng(0)))
     joints, motion = reachability.follow_as_far(poses)
     if motion.joints is None:
         raise WorkFailedError(
@@ -161,22 +157,11 @@ def _distinct_variation(task: Task, rng: np.random.Generator, path: Array, kept:
     least = _LEAST_DIFFERENCE * task.variation_m
     for draw in range(1001):
         variation = smooth_variation(task, rng)
-        shown = _varied(path, variation)[::_COARSER, pose.POSITION]
+        # Smooth paths are compared a step of the agent apart.
+        shown = _varied(path, variation)[::_SUBSTEPS, pose.POSITION]
         if draw == 1000 or all(hausdorff(shown, other) >= least for other in kept):
             break
     return variation, shown
-
-
-def _follow(task: Task, start: Array) -> Array:
-    return _expert(task).roll_out(start, _limit(task))
-
-
-def _expert(task: Task) -> Expert:
-    return task.expert(finer=_SUBSTEPS)
-
-
-def _limit(task: Task) -> int:
-    return 20 * _SUBSTEPS * int(task.nominal_path.length / task.step_m)
 
 
 def _varied(path: Array, variation: Array) -> Array:

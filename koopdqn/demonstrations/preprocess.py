@@ -239,12 +239,8 @@ def _smooth_component(values: Array) -> Array:
     if np.ptp(values) < _CONSTANT:
         return values
     count = len(values)
-    # Upper diagonals of Δ²ᵀΔ²: its convolution kernel, except at the ends.
-    second = np.zeros((3, count))
-    for offset, product in ((0, (1.0, 4.0, 1.0)), (1, (-2.0, -2.0)), (2, (1.0,))):
-        for shift, value in enumerate(product):
-            second[2 - offset, offset + shift : count - len(product) + 1 + shift] += value
-    # Its eigenvalues are nearly those with mirrored ends, which are known (Garcia 2010).
+    second = difference_bands(count, 2)
+    # The eigenvalues of Δ²ᵀΔ² are nearly those with mirrored ends, which are known (Garcia 2010).
     roughness = (2.0 - 2.0 * np.cos(np.pi * np.arange(count) / count)) ** 2
 
     def penalised(log_penalty: float) -> Array:
@@ -258,6 +254,19 @@ def _smooth_component(values: Array) -> Array:
         return float(((values - penalised(log_penalty)) ** 2).sum()) / lost**2
 
     return penalised(float(minimize_scalar(score, bounds=_LOG_PENALTIES, method="bounded").x))
+
+
+def difference_bands(count: int, order: int) -> Array:
+    """Return the upper diagonals (order + 1, count) of ΔᵀΔ, Δ the differences of that order of ``count`` values.
+
+    They are in the form that :func:`scipy.linalg.solveh_banded` takes.
+    """
+    kernel = np.diff(np.eye(order + 1), n=order, axis=0)[0]
+    bands = np.zeros((order + 1, count))
+    for offset in range(order + 1):
+        for shift, product in enumerate(kernel[: order + 1 - offset] * kernel[offset:]):
+            bands[order - offset, offset + shift : count - order + offset + shift] += product
+    return bands
 
 
 def _thinned(times: Array, poses: Array) -> tuple[Array, Array]:

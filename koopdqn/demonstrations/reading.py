@@ -6,8 +6,8 @@ from pathlib import Path
 
 from koopdqn import console
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, Placement
-from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
 from koopdqn.demonstrations.recordings.load import Loaded, load
+from koopdqn.demonstrations.recordings.recording import NOTHING, ImportSettings
 from koopdqn.errors import BadInputError
 from koopdqn.robot.arm import Arm
 from koopdqn.settings import shown, typed

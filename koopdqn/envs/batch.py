@@ -15,10 +15,9 @@ from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.network import observe
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.actions import FIRST_TWIST, checked_indices
+from koopdqn.tasks.actions import FIRST_TWIST, checked_indices, checked_twists, twist_size
 from koopdqn.tasks.moved_goals import draw_starts, trained_in
 from koopdqn.tasks.rollout import SUCCESS, roll_out
-from koopdqn.tasks.twists import checked_twists, twist_size
 from koopdqn.tasks.workcell import Workcell
 
 NO_REWARD: Final = len(SOURCES)

@@ -56,7 +56,7 @@ class Window:
         try_window()
         from mujoco import viewer
 
-        self._scene, self._seconds = workcell.scene, workcell.reachability.step_seconds
+        self._scene, self._seconds = workcell.scene, workcell.arm.step_seconds
         # Not the scene's own, which checks of collisions overwrite while the window draws.
         self._data = mujoco.MjData(self._scene.model)
         self._viewer: Any = viewer.launch_passive(self._scene.model, self._data)

@@ -62,7 +62,7 @@ class KoopmanEnvironment(dm_env.Environment):  # type: ignore[misc]  # dm_env is
         if not self._running:
             return self.reset()
         steps = self._batch.step_only(action)
-        self._show(self._parts.workcell.reachability.step_seconds)
+        self._show(self._parts.workcell.arm.step_seconds)
         reward, observation = float(steps.rewards[0]), self._batch.observations()[0]
         self._running = not (steps.terminated[0] or steps.truncated[0])
         if steps.terminated[0]:

@@ -230,7 +230,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
 def action_space(parts: EnvironmentParts) -> Discrete | Box[np.float32]:
     """Return the ten actions, or, where they are continuous, a twist's numbers, each from −1 to 1.
 
-    Of a twist longer than its balls allow the direction counts (:func:`koopdqn.tasks.twists.in_balls`).
+    Of a twist longer than its balls allow the direction counts (:func:`koopdqn.tasks.actions.in_balls`).
     """
     return Box(-1.0, 1.0, (parts.twist,), np.float32) if parts.twist else Discrete(COUNT)
 
@@ -258,7 +258,7 @@ def _told(steps: Steps, which: np.ndarray) -> dict[str, Any]:
 
 
 def _frames_per_second(workcell: Workcell) -> int:
-    return max(1, round(1.0 / workcell.reachability.step_seconds))
+    return max(1, round(1.0 / workcell.arm.step_seconds))
 
 
 def _check_no_options(options: dict[str, Any] | None) -> None:

@@ -14,12 +14,11 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.validation import mean_expert
 from koopdqn.paths import between, mean_poses
 from koopdqn.pose import Array
-from koopdqn.tasks.actions import COUNT, nearest_actions
+from koopdqn.tasks.actions import COUNT, nearest_actions, twists_between
 from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out
 from koopdqn.tasks.step import IN_PLACE, TURNS_PER_STEP
 from koopdqn.tasks.task import Task, demonstrator_next_poses
-from koopdqn.tasks.twists import twists_between
 from koopdqn.tasks.workcell import Workcell
 
 if TYPE_CHECKING:

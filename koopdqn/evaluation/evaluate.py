@@ -16,8 +16,7 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
 from koopdqn.rl.around import tube_of
 from koopdqn.safety.guard import Guard, GuardSettings
-from koopdqn.safety.schema import separation_report
-from koopdqn.safety.separation import separation
+from koopdqn.safety.separation import separation, separation_report
 from koopdqn.tasks.moved_goals import DrawnStarts, draw_starts
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.workcell import Workcell

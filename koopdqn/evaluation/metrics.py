@@ -195,7 +195,7 @@ def measure(
         time_stretch=_time_stretch(episodes, reachability),
         failures={cause: outcomes[cause] for cause in FAILURES},
         turn=turn_report(paths, task) if task.orientation == "learned" else None,
-        task_measures=_task_measures(paths, task, reachability.step_seconds),
+        task_measures=_task_measures(paths, task, reachability.arm.step_seconds),
     )
 
 
@@ -211,7 +211,7 @@ def _over(apart: Deviations, rows: np.ndarray | slice) -> dict[str, Any]:
 
 
 def _time_stretch(episodes: list[Episode], reachability: Reachability) -> Summary:
-    each = [reachability.durations(e.joints) / reachability.step_seconds for e in episodes if e.steps]
+    each = [reachability.durations(e.joints) / reachability.arm.step_seconds for e in episodes if e.steps]
     return Summary(
         mean=_mean(np.array([times.mean() for times in each])), max=max((float(t.max()) for t in each), default=None)
     )

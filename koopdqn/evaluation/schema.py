@@ -4,7 +4,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from koopdqn.safety.schema import GuardReport, SeparationReport
+from koopdqn.safety.guard import GuardReport
+from koopdqn.safety.separation import SeparationReport
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
 

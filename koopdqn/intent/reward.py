@@ -12,9 +12,8 @@ from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import Trust, TrustDomain
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.actions import SUGGESTED, excess, legal_actions, reached_poses
+from koopdqn.tasks.actions import SUGGESTED, excess, legal_actions, moved_by, reached_poses, toward
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.twists import moved_by, toward
 
 # Where a reward came from.
 RULE: Final = 0

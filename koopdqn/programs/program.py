@@ -11,8 +11,7 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.dynamics import Execution, play
 from koopdqn.pose import Array
 from koopdqn.programs.settings import NOMINAL, ProgramSettings
-from koopdqn.programs.smoothing import smoothed
-from koopdqn.programs.timing import Limits, Motion, timed
+from koopdqn.programs.timing import Limits, Motion, smoothed, timed
 from koopdqn.robot.arm import Arm
 from koopdqn.safety.guard import Guard
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
@@ -119,7 +118,7 @@ def _start(workcell: Workcell, settings: ProgramSettings, placement: Placement |
     arm = workcell.arm
     if settings.start == NOMINAL:
         start = workcell.task.nominal_start
-        return (start if placement is None else placement.restored(start[None])[0]), None
+        return (start if placement is None else placement.restored(start)), None
     if isinstance(settings.start, tuple) and len(settings.start) == 7:
         given = np.array(settings.start)
         length = float(np.linalg.norm(given[pose.QUATERNION]))
@@ -154,7 +153,7 @@ def _learned(
     reachability = workcell.reachability
     if placement is not None:
         # Learned where demonstrations were moved to: what the arm does there is not what the program does.
-        start, joints = placement.poses(start[None])[0], None
+        start, joints = placement.poses(start), None
     if joints is None:
         motion = reachability.enter(start)
         if motion.joints is None:

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from koopdqn.safety.schema import SeparationReport
+from koopdqn.safety.separation import SeparationReport
 from koopdqn.schema import ReportModel, Sha256
 
 

@@ -51,12 +51,7 @@ class Streamed:
 
 
 def read_state(host: str, motion: Motion, *, moves: bool) -> None:
-    """Read where the arm stands; nothing is sent that could move it.
-
-    Args:
-        host: address of the controller.
-        motion: the program.
-        moves: whether the arm must be ready to move.
+    """Check that the arm stands where a motion starts, and if it ``moves``, that it is ready; nothing is sent.
 
     Raises:
         BadInputError: the extra is not installed.
@@ -78,10 +73,7 @@ def read_state(host: str, motion: Motion, *, moves: bool) -> None:
 def stream(host: str, motion: Motion, stop: Callable[[], bool]) -> Streamed:
     """Send the samples of a motion in its own time, and stop the arm at the end, whatever ends it.
 
-    Args:
-        host: address of the controller.
-        motion: the program, whose start the arm stands at (:func:`read_state`).
-        stop: asked before every sample whether to stop.
+    The arm stands at its start (:func:`read_state`). ``stop`` is asked before every sample whether to stop.
 
     Raises:
         BadInputError: the extra is not installed.

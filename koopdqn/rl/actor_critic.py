@@ -17,8 +17,7 @@ from koopdqn.rl.dqn import Adam, Networks, distinct
 from koopdqn.rl.network import QNetwork, linear
 from koopdqn.rl.replay_buffer import Batch
 from koopdqn.rl.settings import ActorCriticSettings
-from koopdqn.tasks.actions import FIRST_TWIST
-from koopdqn.tasks.twists import in_balls
+from koopdqn.tasks.actions import FIRST_TWIST, in_balls
 
 _MOTION: Final = 3
 # Preferred to any margin, which is 1 at most.
@@ -88,7 +87,7 @@ class ActorCritic(Networks):
 
         Args:
             inputs: number of observed values.
-            tolerances: (3,) or (6,) of the comparison, as :func:`koopdqn.tasks.twists.tolerances` gives them; critics
+            tolerances: (3,) or (6,) of the comparison, as :func:`koopdqn.tasks.actions.tolerances` gives them; critics
                 see twists in these, and noise is told in them.
             settings: of the agent.
             rng: draws the weights.

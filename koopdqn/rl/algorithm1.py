@@ -36,10 +36,9 @@ from koopdqn.rl.replay_buffer import Labelled, ReplayBuffer
 from koopdqn.rl.settings import ActorCriticSettings, Agent, AgentSettings, TrainSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.actions import COUNT, FIRST_TWIST
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST, tolerances, twist_size
 from koopdqn.tasks.moved_goals import trained_in
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.twists import tolerances, twist_size
 from koopdqn.tasks.workcell import Workcell
 
 _COUNTERS = ("env_steps", "rounds")

@@ -12,10 +12,9 @@ from koopdqn.intent.trust import TrustDomain
 from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
 from koopdqn.pose import Array
 from koopdqn.rl.policy import Policy
-from koopdqn.tasks.actions import ROTATING, excess, legal_actions, reached_poses
+from koopdqn.tasks.actions import ROTATING, excess, in_balls, legal_actions, moved_by, reached_poses, twists_between
 from koopdqn.tasks.rollout import Controller
 from koopdqn.tasks.step import IN_PLACE
-from koopdqn.tasks.twists import in_balls, moved_by, twists_between
 
 # A pose moved by less [m] is not moved.
 _UNMOVED_M = 1e-6

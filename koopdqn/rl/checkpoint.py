@@ -9,6 +9,8 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import canonical_json
 from koopdqn.intent.model import IntentSettings
 from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.robot.arm import Arm
+from koopdqn.robot.mjcf import recorded_arm
 from koopdqn.settings import load_settings
 
 KIND = "checkpoint"
@@ -37,8 +39,16 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
     write_artifact(checkpoint_path(folder), Artifact(KIND, arrays, about))
 
 
-def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
+def read_checkpoint(
+    folder: Path, shaped_by: dict[str, Any], earlier: dict[str, Any] | None = None, arm: Arm | None = None
+) -> Artifact | None:
     """Return a run folder's latest checkpoint, or None if there is none yet.
+
+    Args:
+        folder: the run folder.
+        shaped_by: the config that determines the run.
+        earlier: what an earlier version may have written down in place of ``shaped_by``.
+        arm: the run's; where it is of a file, so is the checkpoint's.
 
     Raises:
         BadInputError: the checkpoint is damaged, or the run was begun with another config.
@@ -52,7 +62,11 @@ def read_checkpoint(folder: Path, shaped_by: dict[str, Any]) -> Artifact | None:
         if "intent" in began:
             # Runs of earlier commits may use old names of keys.
             began["intent"] = described(load_settings(began["intent"], IntentSettings, "intent"))
-        other = _differences("", began, json.loads(canonical_json(shaped_by)))
+        if arm is not None:
+            was: Any = recorded_arm(began["robot"], arm)
+            began["robot"] = described(was)
+        ways = [_differences("", began, json.loads(canonical_json(each))) for each in (shaped_by, earlier) if each]
+        other = ways[0] if all(ways) else []
         float(artifact.about["seconds"])
     if other:
         shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")

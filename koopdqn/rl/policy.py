@@ -15,10 +15,9 @@ from koopdqn.rl.dqn import load_arrays
 from koopdqn.rl.network import QNetwork, observe, size, values_in
 from koopdqn.rl.settings import NetworkSettings
 from koopdqn.settings import typed, validate
-from koopdqn.tasks.actions import COUNT
+from koopdqn.tasks.actions import COUNT, in_balls, twist_size
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.twists import in_balls, twist_size
 
 KIND = "policy"
 CONTINUOUS = "continuous"

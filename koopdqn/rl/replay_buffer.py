@@ -9,9 +9,8 @@ from koopdqn.intent.reward import RULE, SOURCES, ActionEvaluation
 from koopdqn.pose import Array
 from koopdqn.rl.history import History
 from koopdqn.rl.network import observe
-from koopdqn.tasks.actions import COUNT, within_tolerance
+from koopdqn.tasks.actions import COUNT, twists_between, within_tolerance
 from koopdqn.tasks.task import Task, demonstrator_next_poses
-from koopdqn.tasks.twists import twists_between
 
 
 @dataclass(frozen=True)

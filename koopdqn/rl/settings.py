@@ -28,7 +28,7 @@ class Agent(Settings):
     """What all agents have. Steps are counted in actions tried, never in seconds."""
 
     continuous: ClassVar[bool]
-    """Whether actions are twists (:mod:`koopdqn.tasks.twists`) instead of Table 1's."""
+    """Whether actions are twists (:mod:`koopdqn.tasks.actions`) instead of Table 1's."""
 
     name: Name
     network: NetworkSettings

@@ -4,19 +4,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
+from koopdqn.artifact import described
 from koopdqn.pose import Array, position_distance, rotation_distance
-from koopdqn.robot.analytic import ClosedForm
-from koopdqn.robot.arm import InverseResult
-from koopdqn.robot.chain import Chain
+from koopdqn.robot.arm import Arm, InverseResult, unwrapped_batch
+from koopdqn.robot.chain import Chain, ClosedForm
 from koopdqn.robot.model import Model, read_model
-from koopdqn.robot.unwrapping import unwrapped_batch
-from koopdqn.settings import Floats, Name, Names, PathText, Positive, Settings
+from koopdqn.settings import TARGET, Floats, Name, Names, PathText, Positive, Settings, load_settings
 
 _SAME_RAD: Final = 1e-3
 """Solutions nearer than that are one."""
@@ -65,11 +64,19 @@ class MjcfArm(Settings):
             raise ValueError(
                 f"path: must be the file whose SHA-256 is {known['sha256']}, found {model.sha256} for {known['path']}"
             )
-        read = _of(model)
         # One number stands for all joints.
         for key in _LISTS:
             if isinstance(known.get(key), int | float):
                 known[key] = (known[key],) * len(model.joints)
+        read = {
+            "name": model.name,
+            "joint_names": model.joints,
+            "joint_lower": tuple(model.chain.lower.tolist()),
+            "joint_upper": tuple(model.chain.upper.tolist()),
+            "torque_limits": model.torques,
+            "home": model.home,
+            "kinematics": "analytic" if _has_closed_form(model.chain) else "numeric",
+        }
         return {**read, **known, "sha256": model.sha256}
 
     @model_validator(mode="after")
@@ -224,23 +231,20 @@ class MjcfArm(Settings):
         return ClosedForm(self._model.chain)
 
 
-def _of(model: Model) -> dict[str, Any]:
-    """Return the settings that a file gives."""
-    return {
-        "name": model.name,
-        "sha256": model.sha256,
-        "joint_names": model.joints,
-        "joint_lower": tuple(model.chain.lower.tolist()),
-        "joint_upper": tuple(model.chain.upper.tolist()),
-        "torque_limits": model.torques,
-        "home": model.home,
-        "kinematics": "analytic" if _has_closed_form(model.chain) else "numeric",
-    }
-
-
 def _has_closed_form(chain: Chain) -> bool:
     try:
         ClosedForm(chain)
     except ValueError:
         return False
     return True
+
+
+def recorded_arm(held: Mapping[str, Any], mine: Arm) -> Arm:
+    """Return the arm that an artifact holds; one of a file lies where ``mine`` does, since artifacts name no place.
+
+    Raises:
+        BadInputError: it is no arm, or of another file.
+    """
+    place = {"path": mine.mjcf} if isinstance(mine, MjcfArm) and held.get(TARGET) == described(mine)[TARGET] else {}
+    arm: Any = load_settings({**held, **place}, Arm, "robot")
+    return cast(Arm, arm)

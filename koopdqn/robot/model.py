@@ -128,11 +128,17 @@ def _joints(model: Any, body: int) -> list[int]:
     return joints
 
 
-def _check_actuators(model: Any, joints: list[int]) -> None:
+def driven_joints(model: Any) -> list[int]:
+    """Return the joint that each actuator of a ``mujoco.MjModel`` drives; −1 of one that drives something else."""
     import mujoco
 
+    # A tendon or a site may have a joint's number.
     on_joint = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-    driven = np.where(on_joint, model.actuator_trnid[:, 0], -1).tolist()
+    return list(np.where(on_joint, model.actuator_trnid[:, 0], -1).tolist())
+
+
+def _check_actuators(model: Any, joints: list[int]) -> None:
+    driven = driven_joints(model)
     for joint in joints:
         name = model.joint(joint).name
         if joint not in driven:

@@ -119,7 +119,7 @@ class Camera:
         they are nearer than anything else.
         """
         self._look(joints, view)
-        self._draw(lines, spheres)
+        draw(self._renderer.scene, lines, spheres)
         image = self._renderer.render().astype(float)
         if ghosts:
             image = self._with_ghosts(image, joints, view, ghosts)
@@ -154,7 +154,7 @@ class Camera:
         drawn = self._renderer.scene
         drawn.ngeom = 0
         empty = self._renderer.render().astype(float)
-        self._draw(lines, ())
+        draw(drawn, lines)
         alone = self._renderer.render().astype(float)
         covered = np.abs(alone - empty).max(axis=2, keepdims=True) > _COVERED
         return np.where(covered, (1 - _SHINES_THROUGH) * image + _SHINES_THROUGH * alone, image)
@@ -164,9 +164,6 @@ class Camera:
         depth = np.array(self._renderer.render(), dtype=float)
         self._renderer.disable_depth_rendering()
         return depth
-
-    def _draw(self, lines: Sequence[Line], spheres: Sequence[Sphere]) -> None:
-        draw(self._renderer.scene, lines, spheres)
 
 
 def draw(drawn: Any, lines: Sequence[Line], spheres: Sequence[Sphere] = ()) -> None:

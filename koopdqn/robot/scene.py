@@ -13,6 +13,7 @@ from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.pose import Array
 from koopdqn.resources import asset_path
 from koopdqn.robot.arm import Arm, Calibrated
+from koopdqn.robot.model import driven_joints
 from koopdqn.settings import shown
 
 _ARENA = "arena.xml"
@@ -113,15 +114,13 @@ class SceneBuilder:
             vertices: (V, 3) [m] of a mesh, in the obstacle's own frame.
         """
         name = f"{_OBSTACLE_NAMES}{name}"
-        # With a gap MuJoCo reports what is near, and nothing is pushed away before it touches.
-        near = {"gap": clearance}
-        place = {"pos": pose[:3], "quat": pose[3:]}
         if shape == "mesh":
             flat = " ".join(f"{value:.9g}" for vertex in vertices for value in vertex)
             self._arena.asset.add("mesh", name=name, vertex=flat)
-            self._arena.worldbody.add("geom", name=name, type=shape, mesh=name, rgba=_OBSTACLE, **near, **place)
-            return
-        self._arena.worldbody.add("geom", name=name, type=shape, size=size, rgba=_OBSTACLE, **near, **place)
+        form = {"mesh": name} if shape == "mesh" else {"size": size}
+        # With a gap MuJoCo reports what is near, and nothing is pushed away before it touches.
+        place = {"pos": pose[:3], "quat": pose[3:], "gap": clearance}
+        self._arena.worldbody.add("geom", name=name, type=shape, rgba=_OBSTACLE, **form, **place)
 
     def build(self) -> "Scene":
         """Compile the scene.
@@ -197,9 +196,7 @@ class Scene:
         self.arm = arm
         self.joint_index = np.array([model.joint(prefix + name).qposadr[0] for name in arm.joint_names])
         self.velocity_index = np.array([model.joint(prefix + name).dofadr[0] for name in arm.joint_names])
-        # A tendon or a site may have a joint's number.
-        on_joint = np.isin(model.actuator_trntype, (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-        driven = np.where(on_joint, model.actuator_trnid[:, 0], -1).tolist()
+        driven = driven_joints(model)
         self.actuator_index = np.array([driven.index(model.joint(prefix + name).id) for name in arm.joint_names])
         self._qpos = self.data.qpos
         first, last = int(self.joint_index[0]), int(self.joint_index[-1])
@@ -243,10 +240,6 @@ class Scene:
     def flange_pose(self, joints: Array) -> Array:
         """Return the flange's pose (7,) at joint angles (6,) [rad], by MuJoCo's forward kinematics."""
         self.place(joints)
-        return self.current_flange_pose()
-
-    def current_flange_pose(self) -> Array:
-        """Return the flange's pose (7,) in the present state of ``data``."""
         matrix = self.data.site_xmat[self._site].reshape(3, 3)
         return pose.make(self.data.site_xpos[self._site], pose.from_matrix(matrix))
 

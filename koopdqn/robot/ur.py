@@ -18,8 +18,7 @@ from pydantic import model_validator
 
 from koopdqn.pose import Array, normalized
 from koopdqn.resources import asset_path
-from koopdqn.robot.arm import InverseResult
-from koopdqn.robot.unwrapping import TURN, unwrapped, unwrapped_batch
+from koopdqn.robot.arm import TURN, InverseResult, unwrapped, unwrapped_batch
 from koopdqn.settings import Name, Names, Positive, Settings, Vector6
 
 Scalars = tuple[float, ...]

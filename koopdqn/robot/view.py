@@ -60,12 +60,9 @@ class View:
         return np.array([right, np.cross(right, self.forward), self.forward])
 
     def pixels(self, points: Array, size: tuple[int, int], field_of_view: float) -> Array:
-        """Return where points (N, 3) [m] appear, as columns and rows (N, 2) [pixels].
+        """Return where points (N, 3) [m] in front of the eye appear, as columns and rows (N, 2) [pixels].
 
-        Args:
-            points: in front of the eye.
-            size: width and height of the picture.
-            field_of_view: vertical angle that the picture spans [degrees].
+        The picture has a ``size`` (width, height) and spans a vertical angle ``field_of_view`` [degrees].
         """
         right, up, depth = ((points - self.eye) @ self.axes().T).T
         focal = size[1] / 2 / np.tan(np.radians(field_of_view) / 2)
@@ -73,16 +70,12 @@ class View:
 
 
 def choose_view(scene: Scene, joints: Array, size: tuple[int, int]) -> View:
-    """Return the view that shows a motion best, with the arm and its path in the picture.
+    """Return the view that shows a motion best, of joint angles (N, 6) [rad], with the arm and its path in the picture.
 
     Of a fan of directions it takes the one from which, by rays cast from the eye, the payload can be seen
     at the goal, little of the flange's path is hidden, the path looks long and wide, and nothing stands
-    right before the eye. What stands about the goal is in the picture too. It needs no OpenGL.
-
-    Args:
-        scene: the scene.
-        joints: joint angles (N, 6) [rad] along the motion.
-        size: width and height of the picture [pixels].
+    right before the eye. What stands about the goal is in the picture too, whose ``size`` is width and height
+    [pixels]. It needs no OpenGL.
     """
     path = scene.arm.forward(joints)[:, pose.POSITION]
     poses = (joints[0], joints[len(joints) // 2], joints[-1])
@@ -96,14 +89,9 @@ def choose_view(scene: Scene, joints: Array, size: tuple[int, int]) -> View:
 
 
 def fitted_view(points: Array, azimuth: float, elevation: float, size: tuple[int, int], field_of_view: float) -> View:
-    """Return the nearest view in a direction in which all points (N, 3) [m] are in the picture.
+    """Return the nearest view in a direction [degrees] in which all points (N, 3) [m] are in the picture.
 
-    Args:
-        points: what is to be seen.
-        azimuth: direction of sight [degrees].
-        elevation: direction of sight [degrees].
-        size: width and height of the picture [pixels].
-        field_of_view: vertical angle that the picture spans [degrees].
+    The picture has a ``size`` (width, height) [pixels] and spans a vertical angle ``field_of_view`` [degrees].
     """
     axes = View((0.0, 0.0, 0.0), 1.0, azimuth, elevation).axes()
     tangent = np.tan(np.radians(field_of_view) / 2) * (1 - _MARGIN) * np.array([size[0] / size[1], 1.0])

@@ -11,13 +11,12 @@ from pydantic import Field
 from koopdqn import pose
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
-from koopdqn.safety.schema import GuardReport
 from koopdqn.safety.separation import PersonNear
-from koopdqn.settings import NonNegative, Positive, Settings
-from koopdqn.tasks.actions import checked_indices
+from koopdqn.schema import ReportModel
+from koopdqn.settings import NonNegative, NonNegativeInt, Positive, Settings
+from koopdqn.tasks.actions import checked_indices, checked_twists
 from koopdqn.tasks.rollout import RULE_BROKEN, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.tasks.twists import checked_twists
 from koopdqn.tasks.workcell import COLLISION, REASONS, Motion, Workcell
 
 SPEED: Final = "speed"
@@ -67,6 +66,14 @@ class Refusal:
         """Return the refusal in words."""
         place = np.round(self.pose[pose.POSITION], 4).tolist()
         return f"step {self.step + 1} to {place} m refused: {self.cause.replace('_', ' ')}: {self.detail}"
+
+
+class GuardReport(ReportModel):
+    """What the guard refused, as ``eval.json`` says it."""
+
+    stopped: NonNegativeInt = Field(description="paths that the guard stopped; they were executed up to there, to rest")
+    causes: dict[str, NonNegativeInt] = Field(description="those by cause; every cause is present")
+    first: str | None = Field(description="the first refused step in words; null if none was refused")
 
 
 class Guard:
@@ -128,7 +135,7 @@ class Guard:
     def _too_fast(self, joints: Array, reached: Array, before: Array) -> str:
         reachability, settings = self.workcell.reachability, self.settings
         seconds = float(reachability.durations(joints)[0])
-        most = settings.stretch * reachability.step_seconds
+        most = settings.stretch * reachability.arm.step_seconds
         # Rounding of a quotient is no excess.
         if seconds > most * (1.0 + 1e-9):
             return f"the joints' speed limits must allow it within {most:g} s, found that it takes {seconds:.3g} s"

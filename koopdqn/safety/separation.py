@@ -8,6 +8,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.schema import ReportModel
 from koopdqn.settings import NonNegative, Settings, Vector3
 
 if TYPE_CHECKING:
@@ -82,3 +83,29 @@ def separation(scene: "Scene", joints: Array, times: Array, person: PersonNear) 
     away = np.linalg.norm(every - person_at, axis=2)
     toward = -np.gradient(away, times, axis=0).min(axis=1)
     return Separation(distance, protective_distance(person, toward), np.maximum(toward, 0.0))
+
+
+class SeparationReport(ReportModel):
+    """Distance to the person of `guard.person` where it lacks most, with the user's own parameters."""
+
+    distance_m: NonNegative = Field(description="between the arm and the person's ball")
+    required_m: NonNegative = Field(
+        description="protective separation distance there: S_h + S_r + S_s + C + Z_d + Z_r of ISO/TS 15066, 5.5.4.2.3"
+    )
+    margin_m: float = Field(description="distance_m less required_m; below 0 the distance is not kept")
+    speed_m_s: NonNegative = Field(description="of the arm toward the person there")
+    seconds: NonNegative = Field(description="into the path")
+    kept_fraction: float = Field(ge=0, le=1, description="share of the samples at which the distance is kept")
+
+
+def separation_report(found: Separation, seconds: list[float]) -> SeparationReport:
+    """Return the report of distances at N times [s]."""
+    row, margin = found.worst, found.distance_m - found.required_m
+    return SeparationReport(
+        distance_m=float(found.distance_m[row]),
+        required_m=float(found.required_m[row]),
+        margin_m=float(margin[row]),
+        speed_m_s=float(found.speed_m_s[row]),
+        seconds=seconds[row],
+        kept_fraction=float((margin >= 0).mean()),
+    )

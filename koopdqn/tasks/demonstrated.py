@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 RotationType = Literal["held", "geodesic", "full", "free"]
 """How a task made from demonstrations treats orientation."""
 
-# A start within this many goal tolerances of the goal is drawn again; a wide start region may contain the goal.
-_CLEAR_OF_GOAL = 3.0
+CLEAR_OF_GOAL = 3.0
+"""A start within this many goal tolerances of the goal is none; a wide start region may contain the goal."""
 
 
 class DemonstratedTask(Task):
@@ -146,6 +146,6 @@ class DemonstratedTask(Task):
             if self.goal_half_range_m is not None:
                 half = np.array(self.goal_half_range_m)
                 start[pose.POSITION] -= rng.uniform(-half, half)
-            if pose.position_distance(start, self.goal) > _CLEAR_OF_GOAL * self.goal_tolerance_m:
+            if pose.position_distance(start, self.goal) > CLEAR_OF_GOAL * self.goal_tolerance_m:
                 drawn.append(start)
         return np.array(drawn)

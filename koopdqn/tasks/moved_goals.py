@@ -11,11 +11,9 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.tasks.demonstrated import CLEAR_OF_GOAL
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Motion, Reachability, Workcell
-
-# A start within this many goal tolerances of the goal is none.
-_CLEAR_OF_GOAL = 3.0
 
 
 @dataclass(frozen=True)
@@ -38,14 +36,9 @@ class DrawnStarts:
 def draw_starts(
     workcell: Workcell, task: Task, rng: np.random.Generator, count: int, goal: Array | None = None
 ) -> DrawnStarts:
-    """Return ``count`` starts, and where the goals of a task whose goal moves are.
+    """Return ``count`` starts from a task's region, and by how much its goal is moved, if it moves.
 
-    Args:
-        workcell: arm and scene.
-        task: gives the start region.
-        rng: of the draws.
-        count: how many.
-        goal: (3,) [m] by which all goals are moved; None draws them.
+    All goals are moved by ``goal`` (3,) [m]; None draws them.
 
     Raises:
         BadInputError: hardly any start of the region can be taken.
@@ -70,9 +63,8 @@ def _can_go(workcell: Workcell, start: Array, moved: Array) -> bool:
     goal = workcell.task.goal.copy()
     goal[pose.POSITION] += moved
     apart = float(pose.position_distance(start, goal))
-    return (
-        apart > _CLEAR_OF_GOAL * workcell.task.goal_tolerance_m and workcell.reachability.enter(goal).joints is not None
-    )
+    clear = apart > CLEAR_OF_GOAL * workcell.task.goal_tolerance_m
+    return clear and workcell.reachability.enter(goal).joints is not None
 
 
 class FlangeAlone(Reachability):
@@ -96,5 +88,5 @@ def trained_in(workcell: Workcell) -> Workcell:
     if workcell.task.goal_half_range_m is None:
         return workcell
     with_arm = workcell.reachability
-    alone = FlangeAlone(with_arm.arm, with_arm.scene, with_arm.step_seconds, with_arm.posture)
+    alone = FlangeAlone(with_arm.arm, with_arm.scene, with_arm.posture)
     return replace(workcell, reachability=alone)

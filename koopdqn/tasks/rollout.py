@@ -8,8 +8,8 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.pose import Array
+from koopdqn.tasks.actions import reached_by
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.twists import reached_by
 from koopdqn.tasks.workcell import REASONS, Motion, Reachability
 
 SUCCESS: Final = "success"

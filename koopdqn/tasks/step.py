@@ -21,16 +21,10 @@ _TOWARD = 0.866
 def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float) -> Array:
     """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), at most up to the goal (7,).
 
-    Table 1 turns along the geodesic to the goal only, so only that part ω [rad] of the wished turn counts. With a small
-    turn, or a motion toward the goal, the motion is a full step. Otherwise Table 1 turns in place only: motion v [m]
-    and turn are scaled to (v/step)² + (ω/turn)² = 1, so that a larger turn means a shorter motion.
-
-    Args:
-        poses: present poses.
-        wished: poses to go toward.
-        goal: the goal pose.
-        step: distance of one step [m].
-        turn: turn of one step in place [rad].
+    A step is ``step`` [m] far, or turns by ``turn`` [rad] in place. Table 1 turns along the geodesic to the goal only,
+    so only that part ω [rad] of the wished turn counts. With a small turn, or a motion toward the goal, the motion is a
+    full step. Otherwise Table 1 turns in place only: motion v [m] and turn are scaled to (v/step)² + (ω/turn)² = 1, so
+    that a larger turn means a shorter motion.
     """
     quaternion, toward = poses[:, pose.QUATERNION], goal[pose.QUATERNION]
     motion = wished[:, pose.POSITION] - poses[:, pose.POSITION]

@@ -48,15 +48,13 @@ class Reachability:
     Attributes:
         arm: the arm.
         scene: the scene.
-        step_seconds: least duration of one step [s].
         posture: joint angles (6,) [rad]; a path begins with the solution nearest to them.
     """
 
-    def __init__(self, arm: Arm, scene: "Scene", step_seconds: float, posture: Array | None = None) -> None:
+    def __init__(self, arm: Arm, scene: "Scene", posture: Array | None = None) -> None:
         """Set the parts; a posture of None is the arm's home."""
         self.arm = arm
         self.scene = scene
-        self.step_seconds = step_seconds
         self.posture = np.array(arm.home) if posture is None else posture.copy()
 
     def move(self, pose: Array, joints: Array) -> Motion:
@@ -88,7 +86,7 @@ class Reachability:
     def durations(self, joints: Array) -> Array:
         """Return the durations (T − 1,) [s] of the steps along joint angles (T, 6) [rad], within velocity limits."""
         needed = np.abs(np.diff(joints, axis=0)) / np.array(self.arm.velocity_limits)
-        return np.asarray(np.maximum(needed.max(axis=1), self.step_seconds))
+        return np.asarray(np.maximum(needed.max(axis=1), self.arm.step_seconds))
 
     def enter(self, pose: Array) -> Motion:
         """Return the joint angles for beginning at a pose (7,): the collision-free solution nearest to the posture.
@@ -236,15 +234,15 @@ def reachability_in(scene: "Scene", task: Task, arm: Arm) -> Reachability:
     That is the one at the nominal start that is nearest to the arm's home, or the nearest in which the arm can follow
     every demonstration that defines the task, if there is one: another elbow may reach where this one does not.
     """
-    nearest = Reachability(arm, scene, arm.step_seconds).enter(task.nominal_start).joints
+    nearest = Reachability(arm, scene).enter(task.nominal_start).joints
     first = () if nearest is None else (nearest,)
     # Obstacles stand where demonstrations went.
     clear = build_scene(task.without_obstacles(), arm) if task.obstacles and task.demonstrated else scene
-    others = Reachability(arm, clear, arm.step_seconds).postures(task.nominal_start)
+    others = Reachability(arm, clear).postures(task.nominal_start)
     for posture in chain(first, (other for other in others if not any(np.array_equal(other, each) for each in first))):
-        if Reachability(arm, clear, arm.step_seconds, posture).follows(task.demonstrated):
-            return Reachability(arm, scene, arm.step_seconds, posture)
-    return Reachability(arm, scene, arm.step_seconds, nearest)
+        if Reachability(arm, clear, posture).follows(task.demonstrated):
+            return Reachability(arm, scene, posture)
+    return Reachability(arm, scene, nearest)
 
 
 def _check_methods(task: Task, step_seconds: float) -> None:

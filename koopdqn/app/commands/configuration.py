@@ -14,7 +14,7 @@ from koopdqn.artifact import described
 from koopdqn.demonstrations.cleaning import InspectSettings
 from koopdqn.demonstrations.csv import ExportSettings
 from koopdqn.demonstrations.derivation import Derived
-from koopdqn.demonstrations.recordings.declared import ImportSettings
+from koopdqn.demonstrations.recordings.recording import ImportSettings
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.evaluation.correction import CorrectionSettings
 from koopdqn.evaluation.settings import EvaluationSettings

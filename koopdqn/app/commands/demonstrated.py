@@ -7,8 +7,8 @@ from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.pipeline import DEMONSTRATIONS, check_kept, declared
 from koopdqn.demonstrations.cleaning import without_outliers
-from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.derivation import Derivation, Derived, blocked_at, find_placement
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, blocked_at, find_placement
+from koopdqn.demonstrations.derivation import Derivation, Derived
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError

@@ -14,7 +14,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.generate import DemonstrationSettings, Generated, generate
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.demonstrations.reading import read_demonstrations
-from koopdqn.demonstrations.recordings.declared import NOTHING, ImportSettings
+from koopdqn.demonstrations.recordings.recording import NOTHING, ImportSettings
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import write_json
 from koopdqn.intent.detour import around_obstacles
@@ -192,9 +192,17 @@ def check_intent_file(config: Configuration) -> None:
 
 
 def as_fitted(config: Configuration, intent: StoredIntent) -> Configuration:
-    """Return a config with the settings that an intent and its trust domain were fitted with, whatever it had."""
+    """Return a config with the settings that an intent and its trust domain were fitted with.
+
+    Raises:
+        BadInputError: they are other settings than the config's, and the intent is none of ``intent=FILE``.
+    """
     own = {"intent": intent.settings, "trust": intent.trust.settings}
     other = [name for name, settings in own.items() if described(settings) != described(getattr(config, name))]
+    if other and config.inputs.intent_file is None:
+        raise BadInputError(
+            f"{' and '.join(other)}: must be as the intent was fitted that the run holds already, found other settings"
+        )
     if other:
         console.note(f"{' and '.join(other)}: as the intent was fitted, from which the config differs")
     return replace(config, intent=intent.settings, trust=intent.trust.settings)

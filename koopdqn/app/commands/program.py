@@ -19,20 +19,17 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.files import sha256_of, write_json
 from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.paths import arc_lengths
-from koopdqn.programs.bag import write_bag
 from koopdqn.programs.program import Program, make_program
-from koopdqn.programs.ros import write_json_trajectory, write_yaml_trajectory
-from koopdqn.programs.rtde import write_rtde
+from koopdqn.programs.ros import write_bag, write_json_trajectory, write_yaml_trajectory
 from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile, StreamFile
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.streaming import Streamed, read_state, stream
-from koopdqn.programs.urscript import write_movep, write_servoj
+from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
 from koopdqn.rl.around import tube_of
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.ur import URArm
 from koopdqn.safety.guard import Guard
-from koopdqn.safety.schema import SeparationReport, separation_report
-from koopdqn.safety.separation import separation
+from koopdqn.safety.separation import SeparationReport, separation, separation_report
 from koopdqn.tasks.demonstrated import DemonstratedTask
 
 REPORT = "program.json"

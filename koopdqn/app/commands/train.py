@@ -60,13 +60,12 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     if not (folder / BEGUN).exists():
         write_json(folder / BEGUN, {"threads": config.train.threads})
     intent = pipeline.intent_for(config, demonstrations, folder)
-    begun = config
-    if config.inputs.intent_file is not None:
-        config = pipeline.as_fitted(config, intent)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
-    shaped_by = {**config.shaped_by(), "made_from": made_from}
     # Earlier versions wrote down the config's own intent and trust, whatever intent=FILE held.
-    checkpoint = read_checkpoint(folder, shaped_by, {**begun.shaped_by(), "made_from": made_from})
+    earlier = {**config.shaped_by(), "made_from": made_from}
+    config = pipeline.as_fitted(config, intent)
+    shaped_by = {**config.shaped_by(), "made_from": made_from}
+    checkpoint = read_checkpoint(folder, shaped_by, earlier, config.robot)
     answered = 0 if checkpoint is None else questions_asked(checkpoint)
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
     shown_paths = agent_steps(demonstrations, config.task)

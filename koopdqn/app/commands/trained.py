@@ -27,8 +27,8 @@ from koopdqn.rl.around import PolicyAround, around
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, read_policy
 from koopdqn.robot.arm import Arm
-from koopdqn.robot.mjcf import MjcfArm
-from koopdqn.settings import TARGET, load_settings, shown
+from koopdqn.robot.mjcf import recorded_arm
+from koopdqn.settings import load_settings, shown
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
@@ -114,7 +114,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {found}")
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
-        robot: Any = load_settings({**about["robot"], **_place_of(config.robot, about["robot"])}, Arm, "robot")
+        robot = recorded_arm(about["robot"], config.robot)
         reward = load_settings(about["reward"], RewardSettings, "reward")
     if not task.obstacles:
         # They may be added to any task.
@@ -141,14 +141,8 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
 def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:
     """Return whether an arm is another than the one that a policy's file says it was trained with."""
     mine: Any = robot
-    its: Any = load_settings({**trained, **_place_of(robot, trained)}, Arm, "robot")
+    its: Any = recorded_arm(trained, robot)
     return described(mine) != described(its)
-
-
-def _place_of(robot: Arm, trained: Mapping[str, Any]) -> dict[str, Any]:
-    """Return where the MJCF file of a trained arm lies, which its policy does not hold."""
-    mine = isinstance(robot, MjcfArm) and trained.get(TARGET) == described(robot)[TARGET]
-    return {"path": robot.mjcf} if mine else {}
 
 
 def step_limit_of(path: Path) -> int:

@@ -96,8 +96,8 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     scene = SceneBuilder(config.robot).build() if task is None else build_scene(task, config.robot)
     posture = None
     if task is not None:
-        posture = Reachability(config.robot, scene, config.robot.step_seconds).enter(task.nominal_start).joints
-    reachability = Reachability(config.robot, scene, config.robot.step_seconds, posture)
+        posture = Reachability(config.robot, scene).enter(task.nominal_start).joints
+    reachability = Reachability(config.robot, scene, posture)
     with console.stage("Moving the arm"):
         shown = demonstrated_motions(demonstrations.items, reachability, task, _FOLLOWED)
     count = console.counted(len(demonstrations), "demonstration")

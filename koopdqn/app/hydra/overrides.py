@@ -138,14 +138,11 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         recorded = [item for item in recorded if item.root != "oracle"]
     copied = _copied(command, Path(folder), recorded)
     # That an intent was given still says whose settings hold.
-    intent = [
-        f"{item.key}={_text(str(Path(folder, _COPIES[item.key])))}"
-        for item in recorded
-        if item.key in copied and item.key == "intent_file"
-    ]
+    own_intent = [f"intent_file={_text(f'{folder}/{name}')}" for key, name in _COPIES.items() if key == "intent_file"]
+    given_intent = "intent_file" in copied and any(item.key == "intent_file" for item in recorded)
     merged = [
         *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
-        *intent,
+        *(own_intent if given_intent else []),
         *prepared,
         f"command={command}",
         f"out={_text(folder)}",

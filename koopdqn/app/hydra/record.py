@@ -115,7 +115,7 @@ def check_record(
 
 
 def said_again(recorded: Iterable[Recorded], replaced: Collection[str]) -> list[str]:
-    """Return the overrides that a command line has to say again, as :func:`check_record` does not take them from a record.
+    """Return the recorded overrides that a command line has to say again, since :func:`check_record` refuses them.
 
     They are paths, which may lie elsewhere, but for the keys ``replaced``, and modules of classes not koopdqn's.
     """

@@ -6,25 +6,13 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import ImportSettings, Recording
 from koopdqn.demonstrations.recordings.tree import Tree, check_size, recordings_of_tree
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 
 _NPY: Final = b"\x93NUMPY"
-_ZIP: Final = b"PK\x03\x04"
-_MATLAB: Final = b"MATLAB 5.0 MAT-file"
 PICKLED: Final = "is a pickle, which can run any program when it is read; save numbers as CSV, npy or npz instead"
-
-
-def recognise_numpy(path: Path) -> str | None:
-    """Return why a file is NumPy's, or None."""
-    with path.open("rb") as file:
-        head = file.read(8)
-    if head.startswith(_NPY):
-        return "it begins as a NumPy array"
-    return "it is a zip archive named .npz" if head.startswith(_ZIP) and path.suffix.lower() == ".npz" else None
 
 
 def read_numpy(path: Path, declared: ImportSettings) -> list[Recording]:
@@ -73,12 +61,6 @@ def _array(path: Path, name: str, file: Any) -> Array | Tree:
         return {field: values[field].astype(float) for field, kind in kinds.items() if kind in "fiub"}
     shaped = values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
     return shaped.astype(float)
-
-
-def recognise_matlab(path: Path) -> str | None:
-    """Return why a file is MATLAB's, or None; version 7.3 is HDF5 and recognised as that."""
-    with path.open("rb") as file:
-        return "it begins as a MATLAB 5 file" if file.read(len(_MATLAB)) == _MATLAB else None
 
 
 def read_matlab(path: Path, declared: ImportSettings) -> list[Recording]:

@@ -1,15 +1,14 @@
 """Tables to recordings: the columns that names show, or that numbers without names show by what they are."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.layout import layout_of, listed
-from koopdqn.demonstrations.recordings.poses import PoseColumns
-from koopdqn.demonstrations.recordings.recording import Columns, Recording
+from koopdqn.demonstrations.recordings.names import PoseColumns
+from koopdqn.demonstrations.recordings.recording import Columns, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 
@@ -18,61 +17,58 @@ _UNIT_LENGTH: Final = 0.01
 _POSE: Final = ("x", "y", "z", "q0", "q1", "q2", "q3")
 
 
-def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording | None = None) -> list[Recording]:
+def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording) -> list[Recording]:
     """Return the recordings of a table, one for each text of its column of demonstrations.
 
-    Args:
-        columns: the table.
-        declared: what is declared.
-        stated: what the file's format states of units, order and rate; the columns' own names come first.
+    What the file's format ``stated`` of units, order and rate holds where the columns' own names say nothing.
 
     Raises:
         BadInputError: the columns are not recognised, or a cell is no number.
     """
     layout = layout_of(columns.where, columns.names, declared)
-    stated = stated or Recording(columns.where)
-    found = replace(stated, where=columns.where, rows=columns.lines, reasons=(*stated.reasons, *layout.reasons))
     pose = layout.pose
     parts = (*layout.time, *layout.joints, *layout.tool, *((*pose.position, *pose.turn) if pose else ()))
     used = {*parts, layout.demo}
-    found = replace(found, unused=tuple(name for place, name in enumerate(columns.names) if place not in used))
     needed = tuple(dict.fromkeys(parts))
     # All at once: to read text takes longer than what follows.
     numbers = columns.numbers(needed)
 
-    def taken(places: tuple[int, ...]) -> Array:
-        return numbers[:, [needed.index(place) for place in places]]
+    def taken(places: tuple[int, ...]) -> Array | None:
+        return numbers[:, [needed.index(place) for place in places]] if places else None
 
-    if pose is not None:
-        found = replace(_with_pose(pose, taken, found), other=_other(pose, columns))
-    if layout.joints:
-        found = replace(found, joints=taken(layout.joints))
-        if layout.pose is None:
-            found = replace(found, angles=layout.joint_angles or found.angles)
-    if layout.time:
-        ticks = taken(layout.time)
-        # Seconds and nanoseconds in two columns.
-        times = ticks[:, 0] + 1e-9 * ticks[:, 1] if ticks.shape[1] == 2 else ticks[:, 0]
-        found = replace(found, times=times, clock=layout.clock or found.clock)
-    if layout.tool:
-        found = replace(found, tool=_tool(taken(layout.tool)))
-    if layout.demo is None:
-        return [found]
-    return _apart(found, columns.texts(layout.demo))
-
-
-def _with_pose(pose: PoseColumns, taken: Callable[[tuple[int, ...]], Array], found: Recording) -> Recording:
-    found = replace(found, units=pose.units or found.units)
-    if pose.rotation == "transform":
-        return replace(found, rotation="transform", turn=taken(pose.turn))
-    return replace(
-        found,
-        position=taken(pose.position),
-        turn=taken(pose.turn) if pose.turn else None,
-        rotation=pose.rotation,
-        order=pose.order or found.order,
-        angles=pose.angles or found.angles,
+    tool = taken(layout.tool)
+    found = replace(
+        stated,
+        where=columns.where,
+        rows=columns.lines,
+        joints=taken(layout.joints),
+        times=_times(taken(layout.time)),
+        clock=layout.clock or stated.clock,
+        tool=None if tool is None else _tool(tool),
+        unused=tuple(name for place, name in enumerate(columns.names) if place not in used),
+        reasons=(*stated.reasons, *layout.reasons),
     )
+    if pose is None:
+        found = replace(found, angles=layout.joint_angles or stated.angles)
+    else:
+        found = replace(
+            found,
+            position=None if pose.rotation == "transform" else taken(pose.position),
+            turn=taken(pose.turn),
+            rotation=pose.rotation,
+            order=pose.order or stated.order,
+            units=pose.units or stated.units,
+            angles=pose.angles or stated.angles,
+            other=_other(pose, columns),
+        )
+    return [found] if layout.demo is None else _apart(found, columns.texts(layout.demo))
+
+
+def _times(ticks: Array | None) -> Array | None:
+    """Return the one column of time (N,), or the sum of two: seconds and nanoseconds."""
+    if ticks is None:
+        return None
+    return ticks[:, 0] + 1e-9 * ticks[:, 1] if ticks.shape[1] == 2 else ticks[:, 0]
 
 
 def _other(pose: PoseColumns, columns: Columns) -> Recording | None:
@@ -96,21 +92,16 @@ def _tool(values: Array) -> Array:
     return poses if np.ptp(values, axis=0).max() > 0 else poses[0]
 
 
-def _rows_by_text(column: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the rows that hold each text of a column, both in the order in which they appear."""
-    numbered = {text: number for number, text in enumerate(dict.fromkeys(column))}
-    label = np.array([numbered[text] for text in column])
-    order = np.argsort(label, kind="stable")
-    parts = np.split(order, np.searchsorted(label[order], np.arange(1, len(numbered))))
-    return dict(zip(numbered, parts, strict=True))
-
-
 def _apart(whole: Recording, texts: Sequence[str]) -> list[Recording]:
     """Return the rows of each text, in the order in which the texts first appear."""
-    return [part_of(whole, rows, f"demo {text}") for text, rows in _rows_by_text(texts).items()]
+    numbered = {text: number for number, text in enumerate(dict.fromkeys(texts))}
+    label = np.array([numbered[text] for text in texts])
+    order = np.argsort(label, kind="stable")
+    parts = np.split(order, np.searchsorted(label[order], np.arange(1, len(numbered))))
+    return [_part_of(whole, rows, f"demo {text}") for text, rows in zip(numbered, parts, strict=True)]
 
 
-def part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
+def _part_of(whole: Recording, rows: np.ndarray, name: str) -> Recording:
     """Return some rows of a recording, in growing order, as one of their own."""
     lines = rows if whole.rows is None else whole.rows[rows]
     # What lies in one piece need not be copied.

@@ -1,14 +1,13 @@
 """Recordings to demonstrations: the one place where units, orders, clocks and frames are settled, or asked for."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
-from koopdqn.demonstrations.recordings.declared import METRES, SECONDS, Clock, ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import METRES, SECONDS, Clock, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
@@ -32,26 +31,10 @@ _SAME_TURN_DEG: Final = 1.0
 _SAME_ARM: Final = (0.001, 0.01)
 
 
-@dataclass(frozen=True)
-class Converted:
-    """A demonstration, and what was settled on the way.
+def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -> tuple[Demonstration, list[str]]:
+    """Return the demonstration that a recording shows, and what was taken for what and why, a line each.
 
-    Attributes:
-        item: the demonstration.
-        reasons: what was taken for what and why, a line each.
-    """
-
-    item: Demonstration
-    reasons: tuple[str, ...]
-
-
-def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -> Converted:
-    """Return the demonstration that a recording shows.
-
-    Args:
-        recording: what was recorded.
-        declared: what its file does not say.
-        arm: gives the flange where only joints were recorded.
+    The arm gives the flange where only joints were recorded.
 
     Raises:
         BadInputError: something must be declared, named in the message; or the recording breaks a rule.
@@ -78,7 +61,7 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
         poses = _at_flange(recording, poses, joints, declared, arm, reasons)
     if declared.base is not None:
         base = pose.make(declared.base[:3], pose.from_rotation_vector(declared.base[3:]))
-        poses = pose.compose(np.broadcast_to(pose.inverse(base), poses.shape), poses)
+        poses = pose.compose(pose.inverse(base), poses)
         reasons.append("told in the arm's base, as import.base declares")
     elif not recording.frame and recording.turn is not None:
         reasons.append("in the arm's base, of the flange, unless import.base and import.tool say otherwise")
@@ -92,7 +75,7 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
         item = Demonstration(times[kept], poses[kept], None if recording.position is not None else own)
     except BadInputError as error:
         raise BadInputError(f"demos {recording.where}: {error}") from error
-    return Converted(item, tuple(reasons))
+    return item, reasons
 
 
 class AskError(BadInputError):
@@ -300,9 +283,7 @@ def _at_flange(
             shown = np.round(1e3 * offset[0, :3], 1).tolist()
             reasons.append(f"moved to the flange: the joints show the recorded point fixed at {shown} mm in it")
             return arm.forward(joints)
-    if tool is None:
-        return poses
-    return pose.compose(poses, np.broadcast_to(pose.inverse(tool), poses.shape))
+    return poses if tool is None else pose.compose(poses, pose.inverse(tool))
 
 
 def _times(

@@ -9,25 +9,14 @@ import h5py
 import numpy as np
 
 from koopdqn.demonstrations.recordings.columns import recordings_of
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
+from koopdqn.demonstrations.recordings.recording import ArrayColumns, ImportSettings, Recording
 from koopdqn.demonstrations.recordings.tree import check_size, recordings_of_tree
 from koopdqn.errors import BadInputError
 
-_HDF5: Final = b"\x89HDF\r\n\x1a\n"
-_PARQUET: Final = b"PAR1"
 _STATE: Final = "observation.state"
-_INFO: Final = Path("meta") / "info.json"
+INFO: Final = Path("meta") / "info.json"
+"""What tells of a LeRobot data set, below its folder."""
 _LARGEST_INFO: Final = 1 << 24
-
-
-def recognise_hdf5(path: Path) -> str | None:
-    """Return why a file is HDF5, or None; MATLAB's has a block of 512 bytes before it."""
-    with path.open("rb") as file:
-        head = file.read(512 + len(_HDF5))
-    if head.startswith(_HDF5):
-        return "it begins as HDF5"
-    return "it is HDF5 as MATLAB 7.3 writes it" if head[512:] == _HDF5 else None
 
 
 def read_hdf5(path: Path, declared: ImportSettings) -> list[Recording]:
@@ -97,14 +86,6 @@ def _stated(path: Path, file: h5py.File) -> Recording:
     return stated
 
 
-def recognise_parquet(path: Path) -> str | None:
-    """Return why a file is Parquet, or a folder a LeRobot data set; None if neither."""
-    if path.is_dir():
-        return "it holds meta/info.json, as a LeRobot data set" if (path / _INFO).is_file() else None
-    with path.open("rb") as file:
-        return "it begins as Parquet" if file.read(4) == _PARQUET else None
-
-
 def read_parquet(path: Path, declared: ImportSettings) -> list[Recording]:
     """Return the recordings of a Parquet file, or of all of a LeRobot data set.
 
@@ -138,7 +119,7 @@ def read_parquet(path: Path, declared: ImportSettings) -> list[Recording]:
 def _info(path: Path) -> dict[str, Any]:
     """Return ``meta/info.json`` of the data set that a file belongs to; empty if there is none."""
     for folder in (path, *path.absolute().parents[:4]):
-        place = folder / _INFO
+        place = folder / INFO
         if place.is_file() and place.stat().st_size < _LARGEST_INFO:
             try:
                 content = json.loads(place.read_text(encoding="utf-8"))
@@ -158,7 +139,7 @@ def _recordings(path: Path, table: Any, info: dict[str, Any], declared: ImportSe
         column = table[name].combine_chunks()
         kind = column.type
         if pyarrow.types.is_list(kind) or pyarrow.types.is_fixed_size_list(kind):
-            if name not in (_STATE,) and _STATE in table.column_names:
+            if name != _STATE and _STATE in table.column_names:
                 continue
             lengths = np.unique(pyarrow.compute.list_value_length(column).to_numpy(zero_copy_only=False))
             if len(lengths) != 1 or not (lengths[0] > 0 and _is_number(kind.value_type)):

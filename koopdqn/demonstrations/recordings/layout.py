@@ -4,20 +4,24 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from koopdqn.demonstrations.recordings.declared import Angles, Clock, ImportSettings
 from koopdqn.demonstrations.recordings.names import (
     ANGLES,
     AXES,
+    JOINT_WORDS,
     KUKA,
+    OTHER_WORDS,
     QUATERNION,
     VECTOR,
     Name,
+    PoseColumns,
     angle_unit,
     check_one_unit,
     clock_unit,
+    numbered,
     parsed,
+    poses_of,
 )
-from koopdqn.demonstrations.recordings.poses import JOINT_WORDS, OTHER, PoseColumns, numbered, poses_of
+from koopdqn.demonstrations.recordings.recording import Angles, Clock, ImportSettings
 from koopdqn.errors import BadInputError
 
 _COMMANDED: Final = ("target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "setpoint")
@@ -59,12 +63,7 @@ class Layout:
 
 
 def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Layout:
-    """Return what columns are.
-
-    Args:
-        where: file, for messages.
-        names: of the columns, in their order.
-        declared: roles given by name or order, and which pose is meant.
+    """Return what the columns of a file, for messages, are, by their names and by what is declared.
 
     Raises:
         BadInputError: there is no pose and no joints, or several poses and none is chosen.
@@ -170,7 +169,7 @@ def listed(names: Sequence[str], places: Iterable[int]) -> str:
 def _time_of(names: Sequence[str], known: Sequence[Name]) -> tuple[tuple[int, ...], Clock | None, list[str]]:
     """Return the places of the time, its unit and why."""
     # What a message was stamped with is nearer to the motion than when it was written down.
-    found = [i for i, name in enumerate(known) if name.leaf in _TIMES and not set(name.words) & OTHER]
+    found = [i for i, name in enumerate(known) if name.leaf in _TIMES and not set(name.words) & OTHER_WORDS]
     pair = _whole_and_rest(known)
     if pair and ("stamp" in _spelled(known[pair[0]]) or set(found) <= set(pair)):
         return pair, "s", [f"time from {listed(names, pair)}"]
@@ -205,7 +204,7 @@ def _joints_of(known: Sequence[Name]) -> tuple[int, ...]:
     sets = []
     for words, group in numbered(known):
         motor = "current" in words and words[0] != "current"
-        if set(words) & JOINT_WORDS and not set(words) & OTHER and not motor and len(group) in (6, 7):
+        if set(words) & JOINT_WORDS and not set(words) & OTHER_WORDS and not motor and len(group) in (6, 7):
             sets.append((bool(set(words).intersection(_COMMANDED)), tuple(group.values())))
     return min(sets, default=(False, ()))[1]
 

@@ -6,15 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import Recording
+from koopdqn.demonstrations.recordings.recording import ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm
 
-_BAG: Final = b"#ROSBAG V2.0"
-_MCAP: Final = b"\x89MCAP0\r\n"
-_SQLITE: Final = b"SQLite format 3\x00"
 LARGEST_BYTES: Final = 1 << 32
 """The largest bag that is read."""
 MOST_MESSAGES: Final = 2_000_000
@@ -29,19 +25,6 @@ _LATEST_NS: Final = 1e9
 _LONGEST_RUN_NS: Final = 1e18
 # A larger share of messages without a stamp, and stamps are no clock.
 _FEW: Final = 0.1
-
-
-def recognise(path: Path) -> str | None:
-    """Return why a file or folder is a bag, or None."""
-    if path.is_dir():
-        return "it holds metadata.yaml, as a ROS 2 bag" if (path / "metadata.yaml").is_file() else None
-    with path.open("rb") as file:
-        head = file.read(16)
-    if head.startswith(_BAG):
-        return "it begins as a ROS 1 bag"
-    if head.startswith(_MCAP):
-        return "it begins as MCAP"
-    return "it is SQLite named .db3, as a ROS 2 bag" if head == _SQLITE and path.suffix == ".db3" else None
 
 
 def read(path: Path, declared: ImportSettings, arm: Arm | None) -> list[Recording]:
@@ -138,15 +121,15 @@ def _clock(stamped: Array, logged: Array) -> tuple[Array, np.ndarray, str]:
     rows = np.flatnonzero(~unset)
     back = float((np.maximum.accumulate(stamped[rows]) - stamped[rows]).max(initial=0.0))
     if not stamped.any():
-        return logged, np.argsort(logged, kind="stable"), "logged, since messages are not stamped"
-    if unset.mean() > _FEW:
-        why = f"logged, since {int(unset.sum())} of {len(unset)} messages are not stamped"
-        return logged, np.argsort(logged, kind="stable"), why
-    if back > _LATEST_NS:
-        why = f"logged, since stamps go back by up to {1e-9 * back:.3g} s"
-        return logged, np.argsort(logged, kind="stable"), why
-    left_out = f"; {int(unset.sum())} that are not stamped left out" if unset.any() else ""
-    return stamped, rows[np.argsort(stamped[rows], kind="stable")], f"stamped{left_out}"
+        why = "messages are not stamped"
+    elif unset.mean() > _FEW:
+        why = f"{int(unset.sum())} of {len(unset)} messages are not stamped"
+    elif back > _LATEST_NS:
+        why = f"stamps go back by up to {1e-9 * back:.3g} s"
+    else:
+        left_out = f"; {int(unset.sum())} that are not stamped left out" if unset.any() else ""
+        return stamped, rows[np.argsort(stamped[rows], kind="stable")], f"stamped{left_out}"
+    return logged, np.argsort(logged, kind="stable"), f"logged, since {why}"
 
 
 def _poses(path: Path, name: str, rows: Array, kinds: dict[str, str]) -> Recording:

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from koopdqn.demonstrations.recordings.columns import recordings_of, unnamed
-from koopdqn.demonstrations.recordings.declared import ImportSettings
-from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
+from koopdqn.demonstrations.recordings.recording import ArrayColumns, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import shown
@@ -23,16 +22,15 @@ LARGEST_BYTES: Final = 1 << 28
 _DELIMITERS: Final = (";", "\t", "|", ",")
 _COMMENTS: Final = ("#", "%", "//")
 _NUMERAL: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.ASCII | re.IGNORECASE)
-_HEAD: Final = 1 << 16
+HEAD: Final = 1 << 16
+"""How many of its first bytes tell what a file is."""
 _WESTERN: Final = "cp1252"
 _NO_TEXT: Final = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
 
 
-def recognise(path: Path) -> str | None:
-    """Return why a file is text, or None if it is not."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
-    return "it is text" if head and _decoded(head, whole=len(head) < _HEAD) is not None else None
+def is_text(head: bytes) -> bool:
+    """Return whether a file is text, by its first bytes, of which there are :data:`HEAD` if it is longer."""
+    return bool(head) and _decoded(head, whole=len(head) < HEAD) is not None
 
 
 def read(path: Path, declared: ImportSettings) -> list[Recording]:
@@ -50,14 +48,10 @@ def read(path: Path, declared: ImportSettings) -> list[Recording]:
     return recordings_of(columns, declared, Recording(str(path), reasons=(table.why, *reasons)))
 
 
-def header_of(path: Path) -> tuple[str, ...]:
-    """Return the names in a text file's header, in lower case; empty if it is no text or has none."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
-    found = _decoded(head, whole=len(head) < _HEAD)
-    every = found[0].splitlines() if found else []
-    kept = [number for number, line in enumerate(every) if line.strip(" \t,;|")]
-    rows = [number for number in kept if not _is_comment(every[number])]
+def header_of(head: bytes) -> tuple[str, ...]:
+    """Return the names in a text file's header, in lower case, by its first bytes; empty if it has none."""
+    found = _decoded(head, whole=len(head) < HEAD)
+    every, kept, rows = _lines(found[0] if found else "")
     names = _header(every, kept, rows)[1] if rows else None
     return tuple(name.lower() for name in names or ())
 
@@ -143,10 +137,7 @@ def _table(path: Path) -> TextColumns:
     if found is None:
         raise BadInputError(f"demos {path}: must be text in UTF-8, UTF-16 or Windows-1252, found something else")
     text, encoding = found
-    every = text.splitlines()
-    kept = [number for number, line in enumerate(every) if line.strip(" \t,;|")]
-    commented = any(sign in text for sign in _COMMENTS)
-    rows = [number for number in kept if not _is_comment(every[number])] if commented else kept
+    every, kept, rows = _lines(text)
     if not rows:
         raise BadInputError(f"demos {path}: must hold rows of numbers, found none")
     try:
@@ -237,8 +228,13 @@ def _trimmed(cells: list[str]) -> list[str]:
     return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
 
 
-def _is_comment(line: str) -> bool:
-    return line.lstrip().startswith(_COMMENTS)
+def _lines(text: str) -> tuple[list[str], list[int], list[int]]:
+    """Return the lines of a text, the places of those that say something, and of these the ones that are no comment."""
+    every = text.splitlines()
+    kept = [place for place, line in enumerate(every) if line.strip(" \t,;|")]
+    if not any(sign in text for sign in _COMMENTS):
+        return every, kept, kept
+    return every, kept, [place for place in kept if not every[place].lstrip().startswith(_COMMENTS)]
 
 
 def _decoded(content: bytes, *, whole: bool) -> tuple[str, str] | None:

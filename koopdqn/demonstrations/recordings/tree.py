@@ -11,9 +11,8 @@ import numpy as np
 
 from koopdqn.confined import MOST_BYTES
 from koopdqn.demonstrations.recordings.columns import recordings_of, unnamed
-from koopdqn.demonstrations.recordings.declared import ImportSettings
 from koopdqn.demonstrations.recordings.layout import shows_motion
-from koopdqn.demonstrations.recordings.recording import ArrayColumns, Recording
+from koopdqn.demonstrations.recordings.recording import ArrayColumns, ImportSettings, Recording
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from koopdqn import pose
 from koopdqn.paths import arc_lengths, hausdorff, mean_poses
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import StartFrame
-from koopdqn.tasks.start_regression import StartRegression
+from koopdqn.tasks.start_frame import StartFrame, StartRegression
 
 GOAL = np.array([0.6, 0.15, 0.5])
 START = pose.make([0.5, -0.2, 0.4], pose.IDENTITY[pose.QUATERNION])

@@ -8,9 +8,19 @@ from report_runs import knife_parts
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.actions import excess, legal_actions, reached_poses
+from koopdqn.tasks.actions import (
+    excess,
+    in_balls,
+    largest_turn,
+    legal_actions,
+    moved_by,
+    reached_by,
+    reached_poses,
+    toward,
+    twist_size,
+    twists_between,
+)
 from koopdqn.tasks.task import Task
-from koopdqn.tasks.twists import in_balls, largest_turn, moved_by, reached_by, toward, twist_size, twists_between
 
 numbers = st.lists(st.floats(-3, 3, allow_nan=False), min_size=6, max_size=6).map(np.array)
 
