@@ -18,7 +18,7 @@ from koopdqn.oracles.scripted import ScriptedOracle, demonstrator_agrees
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
-from koopdqn.rl.history import Check
+from koopdqn.rl.checks import Check
 from koopdqn.rl.network import observe
 from koopdqn.rl.policy import Policy
 from koopdqn.tasks.rollout import STUCK, SUCCESS, Episode, roll_out

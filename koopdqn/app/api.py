@@ -28,7 +28,7 @@ from koopdqn.tasks.workcell import open_workcell as open_scene
 if TYPE_CHECKING:
     from koopdqn.envs.batch import EnvironmentParts
     from koopdqn.envs.dm import KoopmanEnvironment
-    from koopdqn.rl.history import Check, History
+    from koopdqn.rl.checks import Check, History
     from koopdqn.rl.policy import Policy
 
 

@@ -10,7 +10,7 @@ from matplotlib.ticker import EngFormatter, PercentFormatter
 from koopdqn.intent.reward import RULE, SOURCES
 from koopdqn.plots import style
 from koopdqn.pose import Array
-from koopdqn.rl.history import History
+from koopdqn.rl.checks import History
 
 WIDTH, HEIGHT = 1560, 900
 WINDOW = 25

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from koopdqn.intent.reward import RULE, SOURCES, ActionEvaluation
 from koopdqn.pose import Array
-from koopdqn.rl.history import History
+from koopdqn.rl.checks import History
 from koopdqn.rl.network import observe
 from koopdqn.tasks.actions import COUNT, within_tolerance
 from koopdqn.tasks.task import Task, demonstrator_next_poses
