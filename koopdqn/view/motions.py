@@ -11,7 +11,7 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
 from koopdqn.evaluation.evaluate import drawn_starts
 from koopdqn.evaluation.metrics import reference_paths
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
