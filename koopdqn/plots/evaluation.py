@@ -77,8 +77,7 @@ def _deviation(axes: Axes, evaluation: Evaluation, aside: bool) -> None:
     axes.set_title(f"{title}, same start")
     axes.set_xlim(0, 100)
     if not moved:
-        why = "no episode made a step" if evaluation.compared else "no demonstration is held out"
-        axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=style.RED)
+        style.note(axes, "no episode made a step" if evaluation.compared else "no demonstration is held out")
         return
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
     share = np.linspace(0, 100, SAMPLES)

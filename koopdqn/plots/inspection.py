@@ -89,7 +89,7 @@ def _shares(axes: Axes, each: Sequence[InspectedDemonstration], colours: Sequenc
 def _learning(axes: Axes, spread_mm: Sequence[float], left_out_mm: Sequence[float]) -> None:
     axes.set_title("Beside one another")
     if not left_out_mm:
-        axes.text(0.5, 0.5, "one alone", ha="center", va="center", color=style.GREY, transform=axes.transAxes)
+        style.note(axes, "one alone", style.GREY)
         axes.set_axis_off()
         return
     axes.plot(np.arange(1, len(left_out_mm) + 1), left_out_mm, "o-", color=style.BLUE, label="one left out of n + 1")

@@ -114,6 +114,11 @@ def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]
     return red, green, blue, opacity
 
 
+def note(axes: Axes, text: str, colour: str = RED) -> None:
+    """Write a text in the middle of axes that have nothing to show."""
+    axes.text(0.5, 0.5, text, ha="center", va="center", color=colour, transform=axes.transAxes)
+
+
 def show_image(axes: Axes, image: Image, title: str) -> None:
     """Fill axes with a rendered picture (height, width, 3)."""
     axes.imshow(image, interpolation="antialiased")

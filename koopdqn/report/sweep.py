@@ -9,7 +9,7 @@ from typing import Any, Final
 from koopdqn.console import counted
 from koopdqn.evaluation.results import QUANTITIES, TRAINING, SweptRun, Variant, known, variants
 from koopdqn.files import write_json, write_text
-from koopdqn.plots.seeds import plot_sweep
+from koopdqn.plots.train import plot_sweep
 from koopdqn.report.figures import Figure
 from koopdqn.report.page import PAGE, Block, Section, render
 from koopdqn.report.schema import LeftOut, SweepFile
