@@ -21,14 +21,10 @@ _SPEED_WINDOW_S = 0.1
 
 
 def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, image: Image | None) -> None:
-    """Draw demonstrations into a PNG.
+    """Draw demonstrations of a task into a PNG.
 
-    Args:
-        path: the file.
-        demonstrations: what was shown.
-        task: gives the path without variation, the start region and the goal.
-        image: the scene with the paths in it, in the colours of :func:`koopdqn.plots.style.series_colours`; None
-            leaves its panel out.
+    ``image`` shows them in the scene, in the colours of :func:`koopdqn.plots.style.series_colours`; None leaves its
+    panel out.
 
     Raises:
         BadInputError: the file cannot be written.

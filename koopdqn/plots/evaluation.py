@@ -28,14 +28,9 @@ _POLICY = "policy"
 def plot_evaluation(
     path: Path, evaluation: Evaluation, demonstrations: Demonstrations, task: Task, image: Image | None
 ) -> None:
-    """Draw an evaluation into a PNG.
+    """Draw an evaluation of a policy that was taught from demonstrations into a PNG.
 
-    Args:
-        path: the file.
-        evaluation: the finished evaluation.
-        demonstrations: what the policy was taught from.
-        task: gives the start region and the goal.
-        image: the scene with learned paths in it; None leaves its panel out.
+    ``image`` shows learned paths in the scene; None leaves its panel out.
 
     Raises:
         BadInputError: the file cannot be written.

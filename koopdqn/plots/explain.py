@@ -46,16 +46,10 @@ def plot_explanation(
     reference: Array | None,
     demonstrated: Sequence[Array],
 ) -> None:
-    """Draw an explained state into a PNG.
+    """Draw a state that the content of an ``explain.json`` explains into a PNG.
 
-    Args:
-        path: the file.
-        title: above everything.
-        task: gives start region, goal and step.
-        content: of ``explain.json``.
-        learned: positions (T, 3) [m] of the policy's path; None where the state is on none.
-        reference: positions (R, 3) [m] that it is compared with; None where there is none.
-        demonstrated: positions (N, 3) [m] of each demonstration.
+    Beside it the policy's path (T, 3) [m], None where the state is on none, the reference (R, 3) [m] that this is
+    compared with, if there is one, and demonstrated positions (N, 3) [m].
 
     Raises:
         BadInputError: the file cannot be written.

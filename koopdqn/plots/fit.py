@@ -26,13 +26,7 @@ _OUTSIDE = 5e-5
 
 
 def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: Task) -> None:
-    """Draw a fitted intent into a PNG.
-
-    Args:
-        path: the file.
-        fitted: the intent with its report.
-        demonstrations: what it was fitted to.
-        task: gives step, tolerances, start region and goal.
+    """Draw an intent fitted to demonstrations of a task into a PNG.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -85,13 +79,8 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
 def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: float, room: float) -> None:
     """Draw mean and largest error per step, the compare tolerance and what the paper reports.
 
-    Args:
-        axes: to draw on.
-        fitted: gives the errors.
-        kind: "m" or "rad".
-        scale: of these in what is shown, millimetres or degrees.
-        tolerance: to compare poses [m or rad].
-        room: the vertical axis reaches this many times higher than what is drawn, for the legend.
+    Errors and tolerance are of a kind, "m" or "rad", and shown in millimetres or degrees by a scale. The vertical axis
+    reaches ``room`` times higher than what is drawn, for the legend.
     """
     unit = {"m": "mm", "rad": "°"}[kind]
     lines = [(tolerance * scale, style.INK, "--", "compare tolerance")]

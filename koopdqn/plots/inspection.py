@@ -26,16 +26,10 @@ def plot_inspection(
     left_out_mm: Sequence[float],
     arm: str,
 ) -> None:
-    """Draw what an inspection found into a PNG.
+    """Draw what an inspection found of each demonstration into a PNG: as recorded, pale, and after the steps.
 
-    Args:
-        path: the file.
-        raw: demonstrations as recorded, drawn pale.
-        cleaned: the same after the steps.
-        each: what was found of each.
-        spread_mm: (5,) spread along the path; none for a single demonstration.
-        left_out_mm: distance of one left out from the mean of 1, 2, … others.
-        arm: the arm's name.
+    ``spread_mm`` (5,) is the spread along the path, ``left_out_mm`` the distance of one left out from the mean of
+    1, 2, … others; both are empty for a single demonstration.
 
     Raises:
         BadInputError: the file cannot be written.

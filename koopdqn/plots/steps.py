@@ -31,7 +31,7 @@ def plot_components(path: Path, trajectories: list[Array], task: Task, first: in
         trajectories: demonstrated poses (N, 7) at the agent's step.
         task: gives the frame of the angles.
         first: the first of the three: 0 for positions, 3 for angles.
-        sigmas: k, half the width of the band in standard deviations.
+        sigmas: half the width of the band in standard deviations.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -71,13 +71,7 @@ def spans(trajectories: list[Array], task: Task) -> dict[str, tuple[float, float
 
 
 def plot_turn(path: Path, trajectories: list[Array], task: KnifeTask, shown: int) -> None:
-    """Draw the distances to the goal and the blade's turn, one demonstration over the others.
-
-    Args:
-        path: the PNG.
-        trajectories: demonstrated poses (N, 7) at the agent's step.
-        task: gives goal, edge and safe angle.
-        shown: the demonstration drawn over the others.
+    """Draw the distances to the goal and the blade's turn along demonstrated poses (N, 7), one over the others.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -137,13 +131,8 @@ def plot_errors(
 ) -> None:
     """Draw the errors of the paper's lift and of the default, a panel each, and both at the paper's sampling.
 
-    Args:
-        path: the PNG.
-        title: above everything.
-        errors: by intent, in the unit.
-        unit: of errors and tolerance.
-        tolerance: within which a prediction is right.
-        bounds: whether to draw the bounds that the paper states for the shelf.
+    Errors and the tolerance within which a prediction is right are in the unit. With ``bounds`` those that the paper
+    states for the shelf are drawn too.
 
     Raises:
         BadInputError: the file cannot be written.

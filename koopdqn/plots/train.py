@@ -26,12 +26,7 @@ _SOURCE_COLOURS = {
 
 
 def plot_training(path: Path, history: History, report: dict[str, Any]) -> None:
-    """Draw what happened during training into a PNG.
-
-    Args:
-        path: the file.
-        history: what happened.
-        report: the content of ``train.json``.
+    """Draw a training's history, and what its ``train.json`` reports, into a PNG.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -157,10 +152,7 @@ SEEDS_SIZE = 840, 900
 def plot_rewards(path: Path, reports: Sequence[Mapping[str, Any]], title: str) -> None:
     """Draw the reward of every episode, its running mean with the spread over seeds, and the checks' success.
 
-    Args:
-        path: the PNG.
-        reports: the contents of ``train.json`` of runs of one configuration, one a seed.
-        title: above everything.
+    Reports are the contents of ``train.json`` of runs of one configuration, one a seed.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -223,11 +215,8 @@ _JITTER: Final = 0.16
 def plot_sweep(path: Path, title: str, variants: Sequence[tuple[str, Mapping[str, Sequence[float]]]]) -> None:
     """Draw a panel a quantity with a row a variant: a dot a run, the mean, and one standard deviation to each side.
 
-    Args:
-        path: the PNG.
-        title: above everything.
-        variants: the label of each, and the known values of its runs by the quantity's name with its unit; the
-            same quantities in each.
+    A variant is its label, and the known values of its runs by the quantity's name with its unit; all have the same
+    quantities.
 
     Raises:
         BadInputError: the file cannot be written.
