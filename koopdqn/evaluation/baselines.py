@@ -172,12 +172,7 @@ def straight_path(start: Array, end: Array, task: Task) -> Array:
 def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
     """Return the poses (T, 7) of replaying, from a start (7,), the demonstration that begins nearest in position.
 
-    The way leads straight to its first pose, then through its poses as recorded, neither shifted nor scaled.
-
-    Args:
-        start: where the arm is.
-        trajectories: demonstrated poses (N, 7) at the agent's step, at least one.
-        task: gives the step.
+    The way leads straight to its first pose, then through its poses (N, 7) as recorded, neither shifted nor scaled.
     """
     nearest = min(trajectories, key=lambda trajectory: float(pose.position_distance(trajectory[0], start)))
     return np.concatenate([straight_path(start, nearest[0], task), nearest[1:]])

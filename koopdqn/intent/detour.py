@@ -46,12 +46,7 @@ _FOLLOWED = 4
 
 
 def around_obstacles(workcell: Workcell, reward: IntentReward, trajectories: list[Array]) -> IntentReward:
-    """Return the reward function with its intent bent around the obstacles of a workcell's task.
-
-    Args:
-        workcell: task, arm and scene.
-        reward: the reward function.
-        trajectories: demonstrated poses (N, 7).
+    """Return the reward function with its intent, shown by trajectories (N, 7), bent around obstacles of the task.
 
     Raises:
         BadInputError: there is no way around within reach.
@@ -66,10 +61,7 @@ def around_obstacles(workcell: Workcell, reward: IntentReward, trajectories: lis
 def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None:
     """Return the bend that takes the intent's path around a task's obstacles; None where none is in the way.
 
-    Args:
-        workcell: task, arm and scene.
-        model: the intent.
-        starts: (D, 7) where demonstrations begin; if paths follow their start, those of all are kept clear.
+    If paths follow their start, those from all of the demonstrations' ``starts`` (D, 7) are kept clear.
 
     Raises:
         BadInputError: there is no way around within reach.
@@ -178,15 +170,9 @@ class _Grid:
         return found
 
     def way(self, first: int, last: int, half: int) -> "_Way | None":
-        """Return the cheapest way that the arm can follow and that is off the path between two layers at most.
+        """Return the cheapest way that the arm can follow and that is off the path between two layers at most, if any.
 
-        Args:
-            first: layer up to which the path itself is followed.
-            last: layer from which it is followed again.
-            half: half width of the grid [cells].
-
-        Returns:
-            None if there is none.
+        The grid reaches ``half`` cells to either side.
         """
         cells = np.arange(-half, half + 1)
         flat = np.stack(np.meshgrid(cells, cells, indexing="ij"), axis=-1).reshape(-1, 2) * _CELL_M
@@ -273,14 +259,9 @@ class _Grid:
 
 
 def _cheapest(cost: Array, side: int) -> np.ndarray | None:
-    """Return the place (K,) in each layer of the cheapest way between the first and the last layer's free places.
+    """Return the place (K,) in each layer of the cheapest way from the first to the last; None if there is none.
 
-    Args:
-        cost: of the places (K, side²); infinite where none may be.
-        side: width of the grid [cells].
-
-    Returns:
-        None if there is no way.
+    The costs are of places (K, side²) in a grid ``side`` cells wide, infinite where none may be.
     """
     shifts = [(i, j) for i in range(-_SIDEWAYS, _SIDEWAYS + 1) for j in range(-_SIDEWAYS, _SIDEWAYS + 1)]
     slopes = np.array([_SLOPE * (i * i + j * j) * (_CELL_M / _LAYER_M) ** 2 for i, j in shifts])

@@ -57,13 +57,7 @@ def held_out_contained(
 ) -> list[np.ndarray]:
     """Return whether the trust domain of the others contains each pose of each demonstration, (N,) each.
 
-    The list is empty for a single demonstration.
-
-    Args:
-        trajectories: demonstrated poses (N, 7).
-        signs: (N − 1, L, 2) for each, as :meth:`TrustSettings.fit` takes them.
-        task: gives the frame of angles.
-        settings: how the domains are fitted.
+    The list is empty for a single demonstration. Signs are those that :meth:`TrustSettings.fit` takes.
     """
     contained = []
     for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
@@ -76,13 +70,9 @@ def held_out_contained(
 def trust_summary(
     domain: TrustDomain, trajectories: list[Array], contained: Sequence[np.ndarray], fresh: list[Array]
 ) -> dict[str, Any]:
-    """Return width and coverage of a trust domain.
+    """Return width and coverage of a trust domain fitted to demonstrated poses (N, 7), as in ``fit.json``.
 
-    Args:
-        domain: fitted to all demonstrations.
-        trajectories: these, poses (N, 7).
-        contained: as :func:`held_out_contained` returns it.
-        fresh: poses (N, 7) of demonstrations that nothing was fitted to.
+    ``contained`` is that of :func:`held_out_contained`; to fresh demonstrations (N, 7) nothing was fitted.
     """
     settings = domain.settings
     tube = domain if isinstance(domain, Tube) else None
@@ -105,12 +95,9 @@ def trust_summary(
 
 
 def right_summary(folds: Sequence[Fold], reward: IntentReward, fresh: list[Array]) -> dict[str, float | None]:
-    """Return the shares of rewards whose sign is right.
+    """Return the shares of rewards whose sign is right, in the folds and by what was fitted to all demonstrations.
 
-    Args:
-        folds: of the cross-validation.
-        reward: by the model and the trust domain fitted to all demonstrations.
-        fresh: poses (N, 7) of demonstrations that nothing was fitted to, as recorded.
+    To fresh demonstrations (N, 7), as recorded, nothing was fitted.
     """
     trust, prediction = reward.trust, reward.settings.prediction
     doubt = float(np.median(trust.doubt))
@@ -344,12 +331,8 @@ def _per_step(sizes: list[Array]) -> dict[str, list[float]] | None:
 def length_ratio(model: IntentModel, trajectories: list[Array], task: Task) -> float:
     """Return how long the model's own way to the goal is, in shares of the demonstration from the same start: a median.
 
-    Where demonstrations come back over the same place only the last passage is learned, and the way is shorter.
-
-    Args:
-        model: the model.
-        trajectories: demonstrated poses (N, 7) in the model's start frame.
-        task: gives step, goal and its tolerance.
+    Demonstrated poses (N, 7) are in the model's start frame. Where demonstrations come back over the same place only
+    the last passage is learned, and the way is shorter.
     """
     starts = np.array([trajectory[0] for trajectory in trajectories])
     limit = 2 * max(len(trajectory) for trajectory in trajectories)

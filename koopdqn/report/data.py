@@ -122,11 +122,7 @@ def gather(run: Run, intents: Intents, folder: Path, advance: Callable[[], None]
 
     The run's own intent and trust domain take the place of those given, so that figures show what it learned from.
 
-    Args:
-        run: whose demonstrations are drawn.
-        intents: what is fitted to them.
-        folder: of the report.
-        advance: called after every fit.
+    ``advance`` is called after every fit.
 
     Raises:
         BadInputError: the demonstrations are damaged, or do not allow a fit.

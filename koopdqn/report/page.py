@@ -83,7 +83,7 @@ def build(
         presets: both presets for both tasks.
         intents: what is fitted to the demonstrations, by task.
         left_out: runs that were found and are not shown.
-        ablations: the file of ablations, which need not exist.
+        ablations: their file, which need not exist.
         folder: where everything goes.
         advance: called after every unit of work.
 

@@ -28,12 +28,9 @@ Found = Sequence[tuple[Variant, Sequence[SweptRun]]]
 
 
 def build(sweep: Path, runs: Sequence[SweptRun], folder: Path) -> dict[str, Any]:
-    """Write ``report.html``, ``sweep.json``, ``sweep.csv`` and ``sweep.png`` and return the content of the JSON.
+    """Write what the runs of a sweep's folder come to into another folder, and return the content of the JSON.
 
-    Args:
-        sweep: the folder that was searched.
-        runs: what was found there.
-        folder: where everything goes.
+    The files are ``report.html``, ``sweep.json``, ``sweep.csv`` and ``sweep.png``.
 
     Raises:
         BadInputError: a file cannot be written.

@@ -29,13 +29,9 @@ def checkpoint_path(folder: Path) -> Path:
 
 
 def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], seconds: float) -> None:
-    """Save a trainer's state.
+    """Save the state of a run that has taken ``seconds`` so far into its folder.
 
-    Args:
-        folder: the run folder.
-        trainer: the run.
-        shaped_by: the config that determines the run; it is resumed only with the same.
-        seconds: duration of the run so far [s].
+    It is resumed only with the config that shapes it.
     """
     arrays, state = trainer.state()
     about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}

@@ -53,13 +53,8 @@ def walked(
 ) -> Walk:
     """Return an episode of a policy with what is known along it.
 
-    Args:
-        episode: the path.
-        policy: whose it is.
-        feedback: the reward function with what answers taught.
-        task: the task.
-        step_limit: of reference paths.
-        referred: compare with the scripted person's own path from the same start, else with the intent's roll-out.
+    It is compared with the scripted person's own path from the same start if that is ``referred`` to, else with the
+    intent's roll-out, up to a step limit.
     """
     start = episode.poses[0]
     if referred:

@@ -65,14 +65,9 @@ def write_film(
     demonstrated: Motion,
     advance: Callable[[float], None] = lambda frames: None,
 ) -> None:
-    """Write a film of two motions side by side, each from its start to its end.
+    """Write a film, .mp4 or .gif, of two motions side by side, the learned one left, each from its start to its end.
 
-    Args:
-        path: the file, .mp4 or .gif.
-        scene: the arm and what stands around it.
-        learned: with a pose of the arm at least, shown on the left.
-        demonstrated: the same, shown on the right.
-        advance: told of every frame made.
+    The arm can begin both. ``advance`` is told of every frame made.
 
     Raises:
         BadInputError: the file cannot be written.
