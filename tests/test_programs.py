@@ -292,7 +292,7 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     (run / "train.json").write_text(f'{{"step_limit": {STEP_LIMIT}}}')
     (run / "policy.safetensors").write_bytes(b"any")
     monkeypatch.setattr("koopdqn.rl.policy.read_policy", lambda path, task, anywhere: (policy, {}))
-    monkeypatch.setattr("koopdqn.rl.around.around", lambda policy, model: policy)
+    monkeypatch.setattr("koopdqn.rl.policy.around", lambda policy, model: policy)
     monkeypatch.setattr("koopdqn.app.commands.program.read_intent", lambda path, task: taught())
     person = "{position_m: [1.5, 0, 0.3], radius_m: 0.3, speed_m_s: 1.6, reaction_s: 0.1, stopping_s: 0.3,"
     person += "stopping_m: 0.05, intrusion_m: 0, person_error_m: 0, arm_error_m: 0, arm_radius_m: 0.08, tool_m: 0.2}"

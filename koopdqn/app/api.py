@@ -338,7 +338,7 @@ def _answering(config: Configuration, oracle: Oracle | None, workcell: Workcell,
     Raises:
         BadInputError: it cannot.
     """
-    from koopdqn.rl.around import answering
+    from koopdqn.rl.human_reward import answering
 
     if oracle is None:
         config.oracle.check()

@@ -20,7 +20,7 @@ from koopdqn.evaluation.schema import (
 )
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
-from koopdqn.rl.around import tube_of
+from koopdqn.rl.policy import tube_of
 from koopdqn.safety.guard import Guard, GuardSettings
 from koopdqn.safety.schema import separation_report
 from koopdqn.safety.separation import separation

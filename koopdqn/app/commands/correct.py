@@ -23,8 +23,7 @@ from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_fr
 from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround
-from koopdqn.rl.policy import Policy, read_policy, write_corrected
+from koopdqn.rl.policy import Policy, PolicyAround, read_policy, write_corrected
 from koopdqn.tasks.rollout import Episode
 from koopdqn.tasks.workcell import Workcell
 

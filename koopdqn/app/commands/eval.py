@@ -37,8 +37,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     from koopdqn.evaluation.schema import EvaluationFile
     from koopdqn.plots.evaluation import plot_evaluation
     from koopdqn.plots.style import LEARNED
-    from koopdqn.rl.around import around
-    from koopdqn.rl.policy import read_policy
+    from koopdqn.rl.policy import around, read_policy
 
     source = config.inputs.run
     if source is None:

@@ -18,8 +18,7 @@ from koopdqn.intent.bend import BentIntent
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround
-from koopdqn.rl.policy import Policy
+from koopdqn.rl.policy import Policy, PolicyAround
 from koopdqn.tasks.moved_goals import DrawnStarts
 from koopdqn.tasks.rollout import RULE_BROKEN, STUCK, SUCCESS, Episode, roll_out
 from koopdqn.view.explain import Walk, drawn_of, explained_actions, left_at, telling_step, trust_of, walked

@@ -86,8 +86,7 @@ def program_of(config: Configuration, run: Path, workcell: Workcell) -> Program:
         BadInputError: the run holds no policy of this task, or the start breaks a rule.
         WorkFailedError: there is no program that keeps every limit and touches nothing.
     """
-    from koopdqn.rl.around import around, tube_of
-    from koopdqn.rl.policy import read_policy
+    from koopdqn.rl.policy import around, read_policy, tube_of
 
     settings = config.program
     policy, _ = read_policy(run / POLICY, config.task, anywhere=True)

@@ -20,10 +20,9 @@ from koopdqn.intent.reward import BY_MODEL
 from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.around import answering
 from koopdqn.rl.checkpoint import EventLog, checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.checks import Check
-from koopdqn.rl.human_reward import Budget
+from koopdqn.rl.human_reward import Budget, answering
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking

@@ -15,9 +15,8 @@ from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.storage import read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.rl import checkpoint
-from koopdqn.rl.around import PolicyAround, around
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.policy import Policy, read_policy
+from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy
 from koopdqn.tasks.workcell import Workcell
 
 _FEEDBACK: Final = "feedback/"
