@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from koopdqn.artifact import below
 from koopdqn.intent.reward import ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Oracle
 from koopdqn.pose import Array
 from koopdqn.rl.actor_critic import ActorCritic
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.checks import Check, Checker, History, Progress
-from koopdqn.rl.dqn import Learner, below, load_arrays
+from koopdqn.rl.dqn import Learner, load_arrays
 from koopdqn.rl.human_reward import Budget, Feedback
 from koopdqn.rl.labelling import Choice, Motions, choice_among_known, label_known
 from koopdqn.rl.network import QNetwork, observe, size

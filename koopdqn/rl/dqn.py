@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from koopdqn.artifact import below
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.rl.network import Buffers, QNetwork
 from koopdqn.rl.replay_buffer import Batch
@@ -247,8 +248,3 @@ def load_arrays(network: nn.Module, arrays: dict[str, np.ndarray]) -> None:
 def arrays_of(network: nn.Module) -> dict[str, np.ndarray]:
     """Return a copy of a network's parameters and buffers."""
     return {name: values.detach().cpu().numpy().copy() for name, values in network.state_dict().items()}
-
-
-def below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays whose names begin with a prefix, without it."""
-    return {name.removeprefix(prefix): values for name, values in state.items() if name.startswith(prefix)}
