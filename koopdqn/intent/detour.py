@@ -5,7 +5,7 @@ beside the path, found from the costs to come (Bellman 1957): it looks ahead of 
 since a place counts as free where the whole arm is.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -54,8 +54,7 @@ def around_obstacles(workcell: Workcell, reward: IntentReward, trajectories: lis
     bend = detour(workcell, reward.model, np.array([rows[0] for rows in trajectories]))
     if bend is None:
         return reward
-    model, trust = BentIntent(reward.model, bend), BentTrust.of(reward.trust, bend)
-    return IntentReward(reward.task, model, trust, reward.settings, continuous=reward.continuous)
+    return replace(reward, model=BentIntent(reward.model, bend), trust=BentTrust.of(reward.trust, bend))
 
 
 def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None:

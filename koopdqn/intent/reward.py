@@ -1,6 +1,7 @@
 """The reward of Algorithm 1: from the intent model where it is trusted, otherwise from the oracle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -100,6 +101,7 @@ class ActionEvaluation:
             getattr(self, name)[rows] = getattr(evaluation, name)
 
 
+@dataclass(frozen=True, eq=False)
 class IntentReward:
     """The reward function of a task with a fitted intent.
 
@@ -111,16 +113,15 @@ class IntentReward:
         continuous: whether actions are continuous.
     """
 
-    def __init__(
-        self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings, *, continuous: bool = False
-    ) -> None:
-        """Combine the parts."""
-        self.task = task
-        self.model = model
-        self.trust = trust
-        self.settings = settings
-        self.continuous = continuous
-        self._illegal = ~legal_actions(task)
+    task: Task
+    model: IntentModel
+    trust: TrustDomain
+    settings: RewardSettings
+    continuous: bool = field(default=False, kw_only=True)
+
+    @cached_property
+    def _illegal(self) -> np.ndarray:
+        return ~legal_actions(self.task)
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
         """Return the reward function extended by answers, all in the model's start frame.
@@ -134,7 +135,7 @@ class IntentReward:
         """
         model = corrected(self.model, before, after, reaches)
         trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
-        return IntentReward(self.task, model, trust, self.settings, continuous=self.continuous)
+        return replace(self, model=model, trust=trust)
 
     def value(self, right: bool, at_goal: bool) -> float:
         """Return the reward of an answer."""

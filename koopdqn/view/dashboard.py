@@ -85,13 +85,8 @@ class Dashboard:
 
     def __enter__(self) -> "Dashboard":
         """Take the screen."""
-        own: dict[str, Any] = {
-            "screen": True,
-            "auto_refresh": False,
-            "redirect_stdout": False,
-            "redirect_stderr": False,
-        }
-        self._live = self._open.enter_context(Live(self.content(), console=self._console, **own))
+        apart: dict[str, Any] = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
+        self._live = self._open.enter_context(Live(self.content(), console=self._console, screen=True, **apart))
         # Only the main thread may set handlers.
         if hasattr(signal, "SIGTSTP") and threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGTSTP, self._ask_to_stop)

@@ -16,7 +16,7 @@ from koopdqn.plots import style
 from koopdqn.pose import Array
 from koopdqn.robot.render import Camera, Image
 from koopdqn.robot.scene import Scene
-from koopdqn.robot.view import View, choose_view
+from koopdqn.robot.view import choose_view
 from koopdqn.view.motions import Motion
 
 if TYPE_CHECKING:
@@ -114,7 +114,8 @@ def film_frames(scene: Scene, learned: Motion, demonstrated: Motion, count: int)
     colours = (style.LEARNED, style.DEMONSTRATED)
     back, cursors = _background(motions, colours)
     view = choose_view(scene, learned.joints, _PANEL)
-    lines = [_pixels(motion, view, scene) for motion in motions]
+    angle = scene.model.vis.global_.fovy
+    lines = [view.pixels(motion.poses[:, pose.POSITION], _PANEL, angle) for motion in motions]
     with Camera(scene, _PANEL) as camera:
         for share in np.linspace(0.0, 1.0, count):
             frame = back.copy()
@@ -128,10 +129,6 @@ def film_frames(scene: Scene, learned: Motion, demonstrated: Motion, count: int)
                 column = round(left + share * (right - left))
                 frame[top:bottom, column - 1 : column + 1] = 34
             yield frame
-
-
-def _pixels(motion: Motion, view: View, scene: Scene) -> Array:
-    return view.pixels(motion.poses[:, pose.POSITION], _PANEL, scene.model.vis.global_.fovy)
 
 
 def _with_lines(image: Image, lines: list[Array], colours: tuple[str, ...], own: int, now: int) -> Image:
