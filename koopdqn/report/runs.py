@@ -48,6 +48,9 @@ class Run:
         about: the metadata of its policy: the config that shaped it.
         task: the task it learned.
         arm: the arm it learned with.
+        intent: how its intent was fitted.
+        trust: where that was trusted.
+        reward: how rewards were made.
         evaluation_file: the newest evaluation of it, or None.
         evaluation: the content of that file, or None.
     """
@@ -57,6 +60,9 @@ class Run:
     about: Mapping[str, Any]
     task: Task
     arm: Arm
+    intent: IntentSettings
+    trust: TrustSettings
+    reward: RewardSettings
     evaluation_file: Path | None = None
     evaluation: Mapping[str, Any] | None = None
 
@@ -136,12 +142,16 @@ def _read(folder: Path) -> Run:
     if CORRECTED in policy.arrays:
         raise BadInputError(f"run {folder} must be as it was trained, found it corrected by hand")
     with reading(f"policy {folder / POLICY}"):
-        task = load_settings(about["task"], Task, "task")
-        arm = load_settings(about["robot"], Arm, "robot")
-        # The figures need them later.
-        for name, settings in (("intent", IntentSettings), ("trust", TrustSettings), ("reward", RewardSettings)):
-            load_settings(about[name], settings, name)
-        return Run(folder, train, about, task, arm)
+        return Run(
+            folder,
+            train,
+            about,
+            load_settings(about["task"], Task, "task"),
+            load_settings(about["robot"], Arm, "robot"),
+            load_settings(about["intent"], IntentSettings, "intent"),
+            load_settings(about["trust"], TrustSettings, "trust"),
+            load_settings(about["reward"], RewardSettings, "reward"),
+        )
 
 
 class Preset(NamedTuple):
