@@ -73,34 +73,21 @@ def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None
     blocked = np.flatnonzero(grid.own_rooms[:, 0] < 0.0)
     if not len(blocked):
         return None
-    best: _Way | None = None
+    best: tuple[Bend, float] | None = None
     for half, before, behind in _REACHES:
         first = max(0, int(blocked[0]) - round(before / _LAYER_M))
         last = min(grid.count - 1, int(blocked[-1]) + round(behind / _LAYER_M))
         way = grid.way(first, last, half)
-        if way is not None and (best is None or way.tightest < best.tightest):
+        if way is not None and (best is None or way[1] < best[1]):
             best = way
-        if best is not None and best.tightest <= _TIGHT:
+        if best is not None and best[1] <= _TIGHT:
             break
     if best is None:
         reach = _REACHES[-1][0] * _CELL_M
         raise BadInputError(
             f"task {task.name}: obstacles must leave a way around within {reach:g} m of the intended path, found none"
         )
-    return best.bend
-
-
-@dataclass(frozen=True)
-class _Way:
-    """A way around.
-
-    Attributes:
-        bend: that takes it.
-        tightest: largest missing share of the slack.
-    """
-
-    bend: Bend
-    tightest: float
+    return best[0]
 
 
 @dataclass(frozen=True)
@@ -168,10 +155,11 @@ class _Grid:
                     found[index, place] = np.minimum(found[index, place], room)
         return found
 
-    def way(self, first: int, last: int, half: int) -> "_Way | None":
+    def way(self, first: int, last: int, half: int) -> tuple[Bend, float] | None:
         """Return the cheapest way that the arm can follow and that is off the path between two layers at most, if any.
 
-        The grid reaches ``half`` cells to either side.
+        It is the bend that takes it, and the largest missing share of the slack. The grid reaches ``half`` cells to
+        either side.
         """
         cells = np.arange(-half, half + 1)
         flat = np.stack(np.meshgrid(cells, cells, indexing="ij"), axis=-1).reshape(-1, 2) * _CELL_M
@@ -193,7 +181,7 @@ class _Grid:
             wanted[first : last + 1] = offsets[layers, places]
             bend, refused = self._bend(wanted)
             if bend is not None:
-                return _Way(bend, float(missing[layers, places][1:-1].max(initial=0.0)))
+                return bend, float(missing[layers, places][1:-1].max(initial=0.0))
             about = {int(np.floor(refused)), int(np.ceil(refused))} & set(range(first + 1, last))
             if not about:
                 return None

@@ -247,7 +247,7 @@ def fit(
     learned = task.orientation == "learned"
     raw = [sizes_of(fold.error) for fold in found.folds]
     unseen = agent_steps(fresh, task) if fresh else []
-    region = convergence(model, domain, trajectories, task)
+    converging, converging_wide = convergence(model, domain, trajectories, task)
     contained = held_out_contained(trajectories, signs, task, trust)
     at_sixty, sixty = sixty_samples(demonstrations, task, intent.with_ridge(found.ridge))
     report: dict[str, Any] = {
@@ -261,9 +261,9 @@ def fit(
         "one_step_error_rad": _error_summary([fold.error[:, 3:] for fold in found.folds], _TURNS) if learned else None,
         "one_step_error_per_step_rad": _per_step([size[:, 1] for size in raw]) if learned else None,
         "roll_out_error_m": roll_out_summary(found.folds, task),
-        "converges": region.demonstrated == 1.0,
-        "converging_share": region.demonstrated,
-        "converging_share_wide": region.wide,
+        "converges": converging == 1.0,
+        "converging_share": converging,
+        "converging_share_wide": converging_wide,
         "length_ratio": length_ratio(model, trajectories, task),
         "ridge": found.ridge,
         "regularisation": [

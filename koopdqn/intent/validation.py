@@ -181,22 +181,11 @@ _REST_STEPS = 25
 _PATIENCE = 3
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """Shares of starts from which the model reaches the goal.
-
-    Attributes:
-        demonstrated: of starts in the demonstrated region: the demonstrations' starts, starts of the task's region and
-            trusted states beside the demonstrations.
-        wide: of starts up to three times as far out as the start region.
-    """
-
-    demonstrated: float
-    wide: float
-
-
-def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array], task: Task) -> Convergence:
+def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array], task: Task) -> tuple[float, float]:
     """Return the shares of starts from which roll-outs of fixed step reach the goal's position and stay there.
+
+    First of starts in the demonstrated region: the demonstrations' own, some of the task's region and trusted states
+    beside the demonstrations. Then of starts up to three times as far out as the start region.
 
     Args:
         model: the model.
@@ -219,7 +208,7 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
 
     there, far = _arrives(in_frame, demonstrated, task, limit), _arrives(from_starts, wide, task, limit)
     region = np.concatenate([there, _arrives(from_starts, drawn, task, limit)])
-    return Convergence(float(region.mean()), float(far.mean()))
+    return float(region.mean()), float(far.mean())
 
 
 def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Generator) -> Array:

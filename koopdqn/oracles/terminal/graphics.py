@@ -5,7 +5,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 from rich.color import Color
@@ -15,6 +15,7 @@ from rich.text import Text
 from koopdqn import console
 from koopdqn.errors import WorkFailedError
 from koopdqn.oracles.terminal.device import Device, Drawn, Graphics, choose_graphics
+from koopdqn.oracles.terminal.picture import WorkcellCamera
 from koopdqn.oracles.terminal.screen import Region, region
 from koopdqn.robot.render import Image
 
@@ -176,14 +177,7 @@ class Picture:
     place: Region
 
 
-class Closable(Protocol):
-    """What holds something until it is closed."""
-
-    def close(self) -> None:
-        """Free what it holds."""
-
-
-Drawer = TypeVar("Drawer", bound=Closable)
+Drawer = TypeVar("Drawer", bound=WorkcellCamera)
 
 
 class Window(Generic[Drawer]):
