@@ -147,18 +147,12 @@ def baseline_episodes(
     starts: Array,
     joints: Array,
     step_limit: int,
-    moved: Array | None = None,
+    moved: Array | None,
 ) -> Iterator[tuple[str, list[Episode]]]:
     """Yield the episodes of every method of :class:`koopdqn.evaluation.schema.Baselines`, by its name.
 
-    Args:
-        workcell: task, arm and scene.
-        reward: the reward function, with its intent model.
-        trajectories: demonstrated poses (N, 7) at the agent's step.
-        starts: (N, 7).
-        joints: (N, 6) [rad] there.
-        step_limit: steps after which an episode fails.
-        moved: (N, 3) [m] by which goals are moved; None for not at all.
+    They begin at starts (N, 7) with joints (N, 6) [rad] and fail after a step limit. Trajectories are demonstrated
+    poses (N, 7) at the agent's step; goals may be moved, by ``moved`` (N, 3) [m].
     """
     task, frame = workcell.task, reward.model.start_frame
     placed = frame.each(trajectories)

@@ -164,10 +164,9 @@ def measure(
 
     Args:
         episodes: at least one.
-        references: the demonstrator's own path (T, 7) from each episode's start; None where there is none, and
-            then no deviation.
+        references: the demonstrator's own path (T, 7) from each episode's start; None for none, and no deviation.
         task: gives the goal.
-        trust: the tube.
+        trust: the tube, told in ``frame``.
         frame: in which the tube knows poses.
         reachability: how long the steps take.
     """

@@ -237,11 +237,8 @@ def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:
     """Return which comparisons (N, 10) lie outside the guard band around the tolerance.
 
     Within it a small error of the model would turn the sign. The best action is always certain, since some action is
-    always right (``Task`` limits the step so).
-
-    Args:
-        margin: (N, 10) as :attr:`ActionEvaluation.margin`.
-        doubt: width of the guard band as a share of the tolerance, one or (N, 10).
+    always right (``Task`` limits the step so). Margins (N, 10) are those of :attr:`ActionEvaluation.margin`, the doubt,
+    one or (N, 10), is the band's width as a share of the tolerance.
     """
     best = margin == margin.max(axis=1, keepdims=True)
     return np.asarray(best | (np.abs(margin) >= doubt))

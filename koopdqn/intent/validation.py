@@ -61,11 +61,7 @@ def cross_validate(
 ) -> Validation:
     """Return the folds of pose trajectories (N, 7), with the ridge of the least multi-step error.
 
-    Args:
-        trajectories: demonstrated poses at the agent's step.
-        task: gives step and goal.
-        intent: how models are fitted, and the candidate ridges.
-        advance: called with the number of folds done.
+    The trajectories are at the agent's step; ``advance`` is called with the number of folds done.
     """
     if len(trajectories) == 1:
         return Validation((), intent.ridges[0], {})
@@ -153,13 +149,8 @@ def count_signs(
 ) -> Array:
     """Return the numbers of right signs and of signs, (N, L, 2), at poses (N, 7) for each of L doubts.
 
-    Args:
-        model: gives the rewards.
-        poses: in its start frame.
-        wished: (N, 7) a person's next poses.
-        task: gives actions and tolerances.
-        prediction: what rewards compare with.
-        doubts: as :func:`jackknife_signs` takes them.
+    The poses are in the model's start frame, ``wished`` (N, 7) are a person's next ones; prediction and doubts are as
+    :func:`jackknife_signs` takes them.
     """
     reached = reached_poses(poses, task)
     predicted = model.predict(poses)
@@ -187,11 +178,7 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
     First of starts in the demonstrated region: the demonstrations' own, some of the task's region and trusted states
     beside the demonstrations. Then of starts up to three times as far out as the start region.
 
-    Args:
-        model: the model.
-        trust: how far beside the demonstrations starts lie.
-        trajectories: demonstrated poses (N, 7) in the model's start frame.
-        task: gives step, start region, goal and its tolerance.
+    Demonstrated poses (N, 7) are in the model's start frame; the trust domain says how far beside them starts may lie.
     """
     rng = np.random.default_rng(0)
     drawn = task.draw_starts(rng, _STARTS)

@@ -69,10 +69,7 @@ _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wro
 def parse_answer(text: str, action: int, *, continuous: bool = False) -> tuple[bool | None, int | None]:
     """Return what a text answers to a question about an action: right, and the better action.
 
-    Args:
-        text: right, wrong, skip, an action of Table 1, or m: the intent model's suggestion.
-        action: what was asked about.
-        continuous: whether the model's suggestion is one of the actions.
+    It is right, wrong, skip, an action of Table 1 or, where actions are continuous, m: the intent model's suggestion.
 
     Raises:
         BadInputError: the text is none of these.

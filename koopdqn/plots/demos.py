@@ -80,8 +80,7 @@ def _components(axes: Sequence[Axes], demonstrations: Demonstrations, task: Task
     axes[0].set_title("Flange along the path")
     axes[3].set_ylabel("turn left to goal [°]" if learned else "speed [m/s]")
     axes[3].set_ylim(bottom=0.0)
-    axes[3].set_xlabel("share of the path travelled [%]")
-    axes[3].set_xlim(0, 100)
+    axes[3].set(xlabel="share of the path travelled [%]", xlim=(0, 100))
     # Within a panel it would lie on the paths, which fill it.
     axes[3].legend(*axes[0].get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, -0.35), ncols=3)
 

@@ -66,11 +66,9 @@ def plot_evaluation(
 def _deviation(axes: Axes, evaluation: Evaluation, aside: bool) -> None:
     """Draw the distance from the references over the path's share: median and spread over episodes."""
     moved = [(e.poses, r) for e, r in zip(evaluation.compared, evaluation.references, strict=True) if e.steps]
-    axes.set_xlabel("share of the path travelled [%]")
-    axes.set_ylabel("deviation [mm]")
+    axes.set(xlabel="share of the path travelled [%]", ylabel="deviation [mm]")
     title = "Deviation from held-out demonstrations" if aside else "Deviation from the demonstrator's own path"
-    axes.set_title(f"{title}, same start")
-    axes.set_xlim(0, 100)
+    axes.set(title=f"{title}, same start", xlim=(0, 100))
     if not moved:
         style.note(axes, "no episode made a step" if evaluation.compared else "no demonstration is held out")
         return
@@ -148,9 +146,7 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
             distance.plot(worst, row, marker="|", markersize=9, markeredgewidth=2, color=style.INK)
         _value(distance, reach, row, f"{mean:.1f}")
     distance.tick_params(labelleft=False)
-    distance.set_xlim(0, 1.35 * longest)
-    distance.set_xlabel("mean, | 95 % of maxima [mm]")
-    distance.set_title("Path deviation")
+    distance.set(xlim=(0, 1.35 * longest), xlabel="mean, | 95 % of maxima [mm]", title="Path deviation")
     for axes in (success, distance):
         axes.grid(False, axis="y")
 

@@ -105,14 +105,12 @@ def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> 
     wished = np.array(content["predicted"])[None, POSITION]
     axes.plot(*style.project(wished, plane), **_PREDICTED)
     axes.plot(x, y, **_STATE)
-    axes.set_xlim(x - around, x + around)
-    axes.set_ylim(y - around, y + around)
+    axes.set(xlim=(x - around, x + around), ylim=(y - around, y + around))
     axes.set_aspect("equal")
     axes.locator_params(nbins=5)
     axes.set_title(f"From {style.VIEWS[plane]}, near the state")
     i, j = style.PLANES[plane]
-    axes.set_xlabel(f"{'xyz'[i]} [m]")
-    axes.set_ylabel(f"{'xyz'[j]} [m]")
+    axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
 
 
 def _entries(*, on_path: bool) -> dict[str, tuple[Line2D | Patch, ...]]:
@@ -159,7 +157,6 @@ def _values(axes: Axes, actions: Sequence[dict[str, Any]]) -> None:
         axes.text(base + 0.03 * (high - base), place, text, va="center", color=style.INK, fontsize=8, bbox=room)
     axes.set_yticks(places, [f"{action['number']} {action['name']}" for action in actions])
     axes.invert_yaxis()
-    axes.set_xlim(base, high + 0.05 * max(high - low, 1e-6))
-    axes.set_xlabel("Q")
+    axes.set(xlim=(base, high + 0.05 * max(high - low, 1e-6)), xlabel="Q")
     axes.set_title("Value Q; reward and where it comes from")
     axes.grid(axis="y", visible=False)

@@ -177,8 +177,7 @@ def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Arr
     axes.set_xlim(low[0], high[0], auto=True)
     axes.set_ylim(low[1], high[1], auto=True)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{'xyz'[i]} [m]")
-    axes.set_ylabel(f"{'xyz'[j]} [m]")
+    axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
 
 
 def project(positions: Array, plane: str) -> tuple[Array, Array]:

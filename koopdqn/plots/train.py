@@ -57,9 +57,7 @@ def _success(axes: Axes, history: History, learned_at: int | None) -> None:
     axes.set_xlim(left=0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.set_xlabel("actions tried")
-    axes.set_ylabel("success rate")
-    axes.set_title("Checks of the policy alone")
+    axes.set(xlabel="actions tried", ylabel="success rate", title="Checks of the policy alone")
     _legend(axes, bool(steps), "no check was made")
 
 
@@ -79,9 +77,7 @@ def _rewards(axes: Axes, history: History) -> None:
     # Room above for the legend.
     axes.margins(y=0.05)
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.35 * (high - low))
-    axes.set_xlabel("episode")
-    axes.set_ylabel("reward gathered")
+    axes.set(ylim=(low, high + 0.35 * (high - low)), xlabel="episode", ylabel="reward gathered")
     axes.set_title("Reward of each episode")
     _legend(axes, bool(len(rewards)), "no episode was finished")
 
@@ -98,9 +94,7 @@ def _loss(axes: Axes, history: History) -> None:
     if any(loss > 0 for loss in history.losses):
         axes.set_yscale("log")
         axes.grid(True, which="minor", axis="y", linewidth=0.4)
-    axes.set_xlabel("updates")
-    axes.set_ylabel("loss [reward²]")
-    axes.set_title("Temporal-difference loss")
+    axes.set(xlabel="updates", ylabel="loss [reward²]", title="Temporal-difference loss")
     _legend(axes, bool(updates), "no check was made")
 
 
@@ -117,8 +111,7 @@ def _rewards_given(axes: Axes, history: History) -> None:
     axes.locator_params(axis="x", nbins=5)
     axes.invert_yaxis()
     axes.grid(False, axis="y")
-    axes.set_xlabel("rewards given")
-    axes.set_title("Where rewards came from")
+    axes.set(xlabel="rewards given", title="Where rewards came from")
 
 
 def _agreement(axes: Axes, history: History) -> None:
@@ -134,8 +127,7 @@ def _agreement(axes: Axes, history: History) -> None:
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.invert_yaxis()
     axes.grid(False, axis="y")
-    axes.set_xlabel("rewards that the demonstrator agrees with")
-    axes.set_title("Agreement with the demonstrator")
+    axes.set(xlabel="rewards that the demonstrator agrees with", title="Agreement with the demonstrator")
 
 
 def _legend(axes: Axes, anything: bool, otherwise: str) -> None:

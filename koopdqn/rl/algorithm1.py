@@ -157,9 +157,8 @@ class Trainer:
     ) -> None:
         """Train until learned or at a limit.
 
-        Args:
-            on_check: called after every check, when the run may be saved.
-            on_round: called after every step of all episodes.
+        ``on_check`` is called after every check, when the run may be saved, ``on_round`` after every step of all
+        episodes.
 
         Raises:
             PauseRequested: whoever answers pauses the run.

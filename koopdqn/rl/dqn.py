@@ -73,14 +73,7 @@ def q_targets(rewards: Tensor, online_next: Tensor, target_next: Tensor, gamma: 
     """Return the targets (N,) of Q(s, a) where something follows; elsewhere a target is the reward alone.
 
     Double: r + γ Q'(s', argmax_a Q(s', a)). Otherwise Eq. 3 as written, with the target network Q':
-    r + γ max_a Q'(s', a).
-
-    Args:
-        rewards: (N,).
-        online_next: Q(s', ·) (N, 10).
-        target_next: Q'(s', ·) (N, 10).
-        gamma: γ.
-        double: which of the two.
+    r + γ max_a Q'(s', a). Rewards are (N,), Q(s', ·) and Q'(s', ·) of the online and the target network (N, 10).
     """
     if double:
         best = online_next.argmax(dim=1, keepdim=True)
@@ -209,9 +202,7 @@ class Learner(Networks):
     def _gradients(self, inputs: list[Tensor], slope: Tensor) -> list[Tensor]:
         """Return the gradients of the loss with respect to the online parameters, in their order.
 
-        Args:
-            inputs: inputs of every layer (N, units).
-            slope: gradient of the loss with respect to Q (N, 10).
+        Given are the inputs of every layer (N, units) and the gradient with respect to Q (N, 10).
         """
         gradients: list[Tensor] = []
         for index, (weight, _) in reversed(list(enumerate(self.online.weights))):

@@ -101,16 +101,7 @@ class Feedback:
         step_back: bool = True,
         replay: ReplayBuffer | None = None,
     ) -> None:
-        """Begin without answers.
-
-        Args:
-            reward: the reward function.
-            oracle: who answers.
-            settings: how far answers apply.
-            budget: of questions.
-            step_back: whether wrong actions are undone.
-            replay: the buffer whose rewards follow the answers; None for none.
-        """
+        """Begin without answers; stored rewards in ``replay``, if given, follow those to come."""
         self.reward = reward
         self.answers = RememberedAnswers(settings)
         self.questions = 0
@@ -169,12 +160,7 @@ class Feedback:
         return bool(trust.assess(point[None], np.array([step])).certified[0])
 
     def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> Outcome:
-        """Ask whether an action was right, learn from the answer, and label the action with it.
-
-        Args:
-            question: about the action.
-            evaluation: of actions, with the pose asked about in ``row``.
-            row: of the evaluation.
+        """Ask whether an action was right, learn from the answer, and label the action with it in the evaluation's row.
 
         Raises:
             PauseRequested: whoever answers pauses the run.

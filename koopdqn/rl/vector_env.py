@@ -173,20 +173,14 @@ class VectorEnv:
         index: int,
         action: int,
         evaluation: ActionEvaluation,
-        motion: Motion | None = None,
+        motion: Motion | None,
         *,
         ask: bool = False,
     ) -> Attempt:
         """Try an action in an episode.
 
-        An action that the arm cannot carry out is wrong. If the reward is not known, the oracle is asked.
-
-        Args:
-            index: of the episode.
-            action: its index.
-            evaluation: of :meth:`evaluate_actions`; it takes the attempt's label.
-            motion: of the arm; None if not computed yet.
-            ask: ask even if the reward is known.
+        An action that the arm cannot carry out is wrong. If the reward is not known, or with ``ask`` even if it is, the
+        oracle is asked. The evaluation takes the attempt's label; the arm's motion is None if not computed yet.
 
         Raises:
             PauseRequested: whoever answers pauses the run.
