@@ -38,7 +38,7 @@ def test_lifting_and_reading_back_is_the_identity(observables: Observables, rows
     lifted = observables.lift(rows)
     assert lifted.ndim == 2
     assert lifted.shape[0] == len(rows)
-    np.testing.assert_array_equal(observables.project(lifted, 3), rows)
+    np.testing.assert_array_equal(lifted[:, :3], rows)
 
 
 @pytest.mark.parametrize("observables", EVERY, ids=lambda o: type(o).__name__)

@@ -17,7 +17,7 @@ from koopdqn.settings import Floats, Interval, Settings, load_settings, shown
 class Observables(Settings, ABC):
     """A lift g of states x (N, d) to z (N, D) whose first d entries are x itself.
 
-    The inverse g⁻¹ reads those entries (§5.1). Subclass it for new observables; the fields are its settings.
+    The inverse g⁻¹ reads those entries (§5.1, Eq. 14). Subclass it for new observables; the fields are its settings.
     """
 
     def lift(self, states: Array) -> Array:
@@ -47,10 +47,6 @@ class Observables(Settings, ABC):
 
     def _must_return(self, rule: str, found: str) -> BadInputError:
         return BadInputError(f"observables {type(self).__name__}: features must return {rule}, found {found}")
-
-    def project(self, lifted: Array, dimension: int) -> Array:
-        """Return the states (N, d) of lifted states (N, D): the inverse g⁻¹, Eq. 14."""
-        return lifted[:, :dimension]
 
     @abstractmethod
     def features(self, states: Array) -> Array:

@@ -1,8 +1,8 @@
 """Questions about attempts, and those put off to the end of their episode."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -51,11 +51,8 @@ class Asking:
     most: int = 10
 
 
-class Ask(Protocol):
-    """A function that asks a question and labels the action in a row of an evaluation with the answer."""
-
-    def __call__(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
-        """Ask; return whether there was an answer."""
+Ask = Callable[[Question, ActionEvaluation, int], bool]
+"""Asks a question, labels the action in a row of an evaluation with the answer, and returns whether there was one."""
 
 
 class PutOffQuestions:
