@@ -83,8 +83,7 @@ class EnvironmentParts:
 
         drawn = draw_starts(self.workcell, task, np.random.default_rng(seed), episodes)
         made = roll_out(
-            *(chosen, task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit),
-            moved=drawn.moved,
+            *(chosen, task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit), moved=drawn.moved
         )
         return float(np.mean([episode.outcome == SUCCESS for episode in made]))
 

@@ -252,12 +252,7 @@ class JointIntent(IntentModel):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the model as arrays, without its settings."""
-        return {
-            "matrix": self.koopman.matrix,
-            "frame": self.frame,
-            "held": np.array(self.held),
-            "goal": self.goal,
-        }
+        return {"matrix": self.koopman.matrix, "frame": self.frame, "held": np.array(self.held), "goal": self.goal}
 
 
 def _state(poses: Array, frame: Array) -> Array:

@@ -115,9 +115,7 @@ def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> 
 
 def _entries(*, on_path: bool) -> dict[str, tuple[Line2D | Patch, ...]]:
     """Return what stands for each name of the legend: its look in the views, and in the bars where it has one."""
-    entries: dict[str, tuple[Line2D | Patch, ...]] = {
-        "demonstrated": (Line2D([], [], color=style.DEMONSTRATED),),
-    }
+    entries: dict[str, tuple[Line2D | Patch, ...]] = {"demonstrated": (Line2D([], [], color=style.DEMONSTRATED),)}
     if on_path:
         entries["learned"] = (Line2D([], [], color=style.LEARNED, linewidth=2),)
         entries["compared with"] = (Line2D([], [], color=style.MEANT, linestyle="--"),)

@@ -151,9 +151,7 @@ class Trainer:
         return self.feedback.questions
 
     def run(
-        self,
-        on_check: Callable[[Check], None] = lambda check: None,
-        on_round: Callable[[], None] = lambda: None,
+        self, on_check: Callable[[Check], None] = lambda check: None, on_round: Callable[[], None] = lambda: None
     ) -> None:
         """Train until learned or at a limit.
 

@@ -18,9 +18,7 @@ class NetworkSettings(Settings):
     fourier_features: NonNegativeInt = Field(description="random Fourier features of the position; 0 for plain inputs")
     length_scale_m: float = Field(ge=1e-4, le=1e3, description="of the Fourier features [m]")
     length_scale_rad: float = Field(
-        ge=1e-3,
-        le=1e3,
-        description="of the Fourier features in what is left to turn, where that is learned [rad]",
+        ge=1e-3, le=1e3, description="of the Fourier features in what is left to turn, where that is learned [rad]"
     )
 
 

@@ -169,13 +169,7 @@ class VectorEnv:
         return self.feedback.evaluate_actions(poses, steps, starts, twists)
 
     def try_action(
-        self,
-        index: int,
-        action: int,
-        evaluation: ActionEvaluation,
-        motion: Motion | None,
-        *,
-        ask: bool = False,
+        self, index: int, action: int, evaluation: ActionEvaluation, motion: Motion | None, *, ask: bool = False
     ) -> Attempt:
         """Try an action in an episode.
 
