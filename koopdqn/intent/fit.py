@@ -16,7 +16,15 @@ from koopdqn.intent.reward import TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.schema import FitReport
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.intent.tube import Tube
-from koopdqn.intent.validation import Fold, convergence, cross_validate, jackknife_signs, left_out_share, sizes_of
+from koopdqn.intent.validation import (
+    Fold,
+    convergence,
+    cross_validate,
+    held_out_contained,
+    jackknife_signs,
+    left_out_share,
+    sizes_of,
+)
 from koopdqn.paths import arc_lengths, hausdorff, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
@@ -50,21 +58,6 @@ def _roll_out_error(fold: Fold, task: Task) -> tuple[float, float]:
     path = fold.model.roll_out(fold.held_out[:1], steps, task.step_m)[:, 0, pose.POSITION]
     final = float(np.linalg.norm(path[-1] - task.goal[pose.POSITION]))
     return final, hausdorff(path, fold.held_out[:, pose.POSITION])
-
-
-def held_out_contained(
-    trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
-) -> list[np.ndarray]:
-    """Return whether the trust domain of the others contains each pose of each demonstration, (N,) each.
-
-    The list is empty for a single demonstration. Signs are those that :meth:`TrustSettings.fit` takes.
-    """
-    contained = []
-    for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
-        others = [i for i in range(len(trajectories)) if i != index]
-        fold = settings.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame)
-        contained.append(fold.contains(held_out, np.arange(len(held_out))))
-    return contained
 
 
 def trust_summary(

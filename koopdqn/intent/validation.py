@@ -8,7 +8,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.reward import Prediction, certain_signs
-from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses, within_tolerance
@@ -129,6 +129,21 @@ def jackknife_signs(
         count_signs(fold.model, fold.held_out[:-1], expert.next_pose(fold.held_out[:-1]), task, prediction, doubts)
         for fold in folds
     ]
+
+
+def held_out_contained(
+    trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
+) -> list[np.ndarray]:
+    """Return whether the trust domain of the others contains each pose of each demonstration, (N,) each.
+
+    The list is empty for a single demonstration. Signs are those that :meth:`TrustSettings.fit` takes.
+    """
+    contained = []
+    for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
+        others = [i for i in range(len(trajectories)) if i != index]
+        fold = settings.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame)
+        contained.append(fold.contains(held_out, np.arange(len(held_out))))
+    return contained
 
 
 def left_out_share(folds: Sequence[Fold], task: Task, prediction: Prediction, doubt: float) -> float | None:

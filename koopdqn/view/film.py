@@ -5,9 +5,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import PIL.Image
+import PIL.ImageDraw
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -18,9 +20,6 @@ from koopdqn.robot.render import Camera, Image
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.view import choose_view
 from koopdqn.view.motions import Motion
-
-if TYPE_CHECKING:
-    from PIL.Image import Image as Picture
 
 SIZE: Final = (640, 480)
 SECONDS: Final = 10.0
@@ -89,9 +88,7 @@ def write_film(
 
 
 def _write_gif(path: Path, frames: Iterator[Image], rate: int, advance: Callable[[float], None]) -> None:
-    import PIL.Image
-
-    def reduced() -> Iterator["Picture"]:
+    def reduced() -> Iterator[PIL.Image.Image]:
         shades = None
         for frame in frames:
             advance(1)
@@ -133,9 +130,6 @@ def film_frames(scene: Scene, learned: Motion, demonstrated: Motion, count: int)
 
 def _with_lines(image: Image, lines: list[Array], colours: tuple[str, ...], own: int, now: int) -> Image:
     """Return a picture with both paths in it: the other thin, its own as far as the arm has come."""
-    import PIL.Image
-    import PIL.ImageDraw
-
     picture = PIL.Image.fromarray(image)
     pen = PIL.ImageDraw.Draw(picture)
     other = 1 - own
@@ -149,8 +143,8 @@ def _background(
     motions: tuple[Motion, Motion], colours: tuple[str, str]
 ) -> tuple[Image, list[tuple[int, int, int, int]]]:
     """Return the picture without the arm, and where a cursor goes in each plot: left, right, top, bottom [pixels]."""
+    # Behind koopdqn.plots, which sees to it that matplotlib can be imported.
     import matplotlib as mpl
-    import PIL.Image
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -8,6 +8,8 @@ from functools import lru_cache
 from typing import Final, Generic, TypeVar
 
 import numpy as np
+from PIL import Image as Pictures
+from PIL import ImageDraw, ImageFont
 from rich.color import Color
 from rich.style import Style
 from rich.text import Text
@@ -33,8 +35,6 @@ _MARK_COLOURS: Final = {"r": "bright_yellow", "m": "bright_cyan", "g": "bright_g
 
 def resized(image: Image, width: int, height: int) -> Image:
     """Return a picture (height, width, 3) whose every pixel is the mean of those it stands for."""
-    from PIL import Image as Pictures
-
     return np.asarray(Pictures.fromarray(image).resize((width, height), Pictures.Resampling.BOX))
 
 
@@ -43,9 +43,6 @@ def lettered(image: Image, marks: Mapping[str, tuple[float, float]], caption: st
 
     A caption stands in its lower left corner.
     """
-    from PIL import Image as Pictures
-    from PIL import ImageDraw, ImageFont
-
     height, width, _ = image.shape
     drawn = Pictures.fromarray(image)
     pen = ImageDraw.Draw(drawn)
@@ -110,8 +107,6 @@ KITTY_CLEAR: Final = "\x1b_Ga=d,q=2\x1b\\"
 
 def png(image: Image) -> bytes:
     """Return a picture (height, width, 3) as a PNG file's bytes."""
-    from PIL import Image as Pictures
-
     buffer = io.BytesIO()
     Pictures.fromarray(image).save(buffer, format="PNG")
     return buffer.getvalue()
@@ -131,8 +126,6 @@ def kitty(image: Image, width: int, rows: int) -> str:
 
 def sixel(image: Image) -> str:
     """Return the sequence that draws a picture at the cursor in DEC's sixels (VT340 manual), a pixel a pixel."""
-    from PIL import Image as Pictures
-
     height, width, _ = image.shape
     coded = Pictures.fromarray(image).quantize(_SIXEL_COLOURS)
     flat = np.array(coded.getpalette() or [], dtype=int).reshape(-1, 3)
