@@ -166,7 +166,7 @@ def measure(
         episodes: at least one.
         references: the demonstrator's own path (T, 7) from each episode's start; None for none, and no deviation.
         task: gives the goal.
-        trust: the tube, told in ``frame``.
+        trust: the tube.
         frame: in which the tube knows poses.
         reachability: how long the steps take.
     """

@@ -95,10 +95,7 @@ def configuration_key(about: Mapping[str, Any]) -> str:
 def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[list[Run], list[LeftOut]]:
     """Return the finished runs below folders, and what looks like one but cannot be used.
 
-    Args:
-        folders: searched for training runs and for evaluations; what lies below a folder named
-            ``ablations`` or ``study`` is left out.
-        elsewhere: searched for evaluations only.
+    What lies below a folder named ``ablations`` or ``study`` is left out; evaluations may lie ``elsewhere`` as well.
 
     Raises:
         BadInputError: one of ``folders`` does not exist.

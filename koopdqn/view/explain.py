@@ -140,17 +140,11 @@ def explained_actions(
     *,
     referred: bool,
 ) -> list[ExplainedAction]:
-    """Return what is known of the ten actions in one state.
+    """Return what is known of the ten actions in one state, which stands in a row of an evaluation.
 
-    Args:
-        evaluation: of actions, with the state in a row.
-        row: which.
-        values: (10,) Q in that state.
-        feedback: the reward function with what answers taught.
-        workcell: task, arm and scene.
-        trajectories: demonstrated poses (N, 7) at the agent's step, in the intent's start frame.
-        joints: of the arm in the state (6,) [rad]; None if they are not known.
-        referred: whether a scripted person can be asked.
+    Values (10,) are Q there, joints (6,) [rad] the arm's, None if they are not known. Trajectories are demonstrated
+    poses (N, 7) at the agent's step, in the intent's start frame; ``referred`` says whether a scripted person can be
+    asked.
     """
     task, reached = workcell.task, evaluation.reached[row]
     refused = [""] * COUNT
