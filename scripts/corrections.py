@@ -22,8 +22,7 @@ from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import WorkFailedError
 from koopdqn.evaluation.correction import Followed, along, in_base, in_frame, played
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround
-from koopdqn.rl.policy import read_policy
+from koopdqn.rl.policy import PolicyAround, read_policy
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "docs" / "corrections.md"
 _ASIDE_M: Final = np.array([0.024, 0.04, 0.04, 0.024])

@@ -34,8 +34,7 @@ from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import read_intent
 from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
-from koopdqn.rl.around import around
-from koopdqn.rl.policy import Policy, read_policy
+from koopdqn.rl.policy import Policy, around, read_policy
 from koopdqn.robot.scene import Scene
 from koopdqn.tasks.obstacles import Obstacle
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out

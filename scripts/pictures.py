@@ -38,7 +38,7 @@ from koopdqn.oracles.terminal.screen import Shown, compose, region
 from koopdqn.plots.style import DEMONSTRATED, picture, rgba, show_image
 from koopdqn.plots.workflow import plot_workflow
 from koopdqn.pose import POSITION
-from koopdqn.rl.history import Check
+from koopdqn.rl.checks import Check
 from koopdqn.robot.render import Camera, Ghost, Line
 from koopdqn.robot.view import View, choose_view
 from koopdqn.view.dashboard import Dashboard

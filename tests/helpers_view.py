@@ -6,7 +6,7 @@ from helpers_shelf import reward_of, shelf, taught
 from parts import as_demonstrations, load_parts
 
 from koopdqn.evaluation.baselines import Greedy
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import POSITION
 from koopdqn.rl.human_reward import Feedback

@@ -14,11 +14,11 @@ from koopdqn.intent.tube import Tube
 from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.oracles.journal import read_lines
 from koopdqn.oracles.replay import JournalledOracle
-from koopdqn.oracles.scripted import ScriptedOracle, demonstrator_agrees
+from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
-from koopdqn.rl.history import Check
+from koopdqn.rl.checks import Check
 from koopdqn.rl.network import observe
 from koopdqn.rl.policy import Policy
 from koopdqn.tasks.rollout import STUCK, SUCCESS, Episode, roll_out
@@ -426,8 +426,8 @@ def test_what_is_learned_from_agrees_with_the_scripted_expert(
     make: Make, workcell: Workcell, reward: IntentReward
 ) -> None:
     """Where everything is asked, the sign of each stored reward is the demonstrator's opinion."""
-    clerk = Clerk()
-    clerk.rule = lambda asked: bool(demonstrator_agrees(workcell.task, asked.pose[None], asked.reached[None])[0])
+    expert = ScriptedOracle(workcell.task)
+    clerk = Clerk(lambda asked: expert.answer(asked).right)
     settings = {"agent": {"replay": 10_000}, "train": {"max_steps": 300, **UNCHECKED}, "feedback": FORGETFUL}
     trainer = make(clerk, rewarded_by=untrusting(reward), **settings)
     trainer.run()

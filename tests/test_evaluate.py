@@ -16,8 +16,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation import schema
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import Evaluation, evaluate, work_units
-from koopdqn.evaluation.schema import EvaluationReport, MethodReport
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationReport, EvaluationSettings, MethodReport
 from koopdqn.pose import Array
 from koopdqn.schema import ReportModel
 from koopdqn.settings import validate

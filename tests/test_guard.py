@@ -15,7 +15,7 @@ from koopdqn.errors import WorkFailedError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.dynamics import play
 from koopdqn.evaluation.evaluate import evaluate
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.pose import Array
 from koopdqn.programs.program import check_clear, make_program
 from koopdqn.programs.timing import Motion

@@ -18,7 +18,7 @@ from koopdqn.envs.batch import Batch, EnvironmentParts
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import drawn_starts, evaluate
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.reward import IntentReward
 from koopdqn.safety import Guard

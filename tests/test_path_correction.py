@@ -15,10 +15,9 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, in_base, in_frame, played
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround, around, tube_of
 from koopdqn.rl.dqn import Learner
 from koopdqn.rl.network import size
-from koopdqn.rl.policy import Policy, read_policy, write_corrected, write_policy
+from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy, tube_of, write_corrected, write_policy
 from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
 from koopdqn.settings import validate

@@ -18,7 +18,7 @@ from koopdqn.plots.evaluation import plot_evaluation
 from koopdqn.plots.fit import plot_fit
 from koopdqn.plots.style import SERIES, draw_motion, picture, series_colours
 from koopdqn.plots.train import plot_training
-from koopdqn.rl.history import Check, History
+from koopdqn.rl.checks import Check, History
 from koopdqn.tasks.rollout import STEP_LIMIT, SUCCESS, Episode
 
 if TYPE_CHECKING:

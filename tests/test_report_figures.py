@@ -10,11 +10,19 @@ from report_runs import knife_parts, train_report
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.plots.poses import best_view, close_view, joints_of, plot_paths, plot_poses
-from koopdqn.plots.prediction import Errors, line_distance, plot_errors, plot_line_error, plot_line_fit
-from koopdqn.plots.seeds import plot_rewards, plot_sweep
-from koopdqn.plots.steps import half_turn, plot_components, plot_turn, spans
+from koopdqn.plots.steps import (
+    Errors,
+    half_turn,
+    line_distance,
+    plot_components,
+    plot_errors,
+    plot_line_error,
+    plot_line_fit,
+    plot_turn,
+    spans,
+)
 from koopdqn.plots.style import ASK
-from koopdqn.plots.train import WINDOW, running_mean
+from koopdqn.plots.train import WINDOW, plot_rewards, plot_sweep, running_mean
 from koopdqn.plots.workflow import plot_workflow
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from parts import load_parts
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import Evaluation, evaluate
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.settings import validate
 from koopdqn.tasks.task import Task
 

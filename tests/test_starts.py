@@ -33,7 +33,7 @@ def wide(workcell: Workcell, trajectories: list[Array], share: float, scale: flo
 
 
 def begun(starts: StartSampler, count: int, seed: int = 0) -> Episodes:
-    batch, rng = Episodes.empty(count, 6), np.random.default_rng(seed)
+    batch, rng = Episodes(count, 6), np.random.default_rng(seed)
     for index in range(count):
         batch.begin(index, 100 + index, starts.draw(rng))
     return batch
@@ -117,7 +117,7 @@ def test_every_start_is_one_the_arm_can_take_and_no_goal(workcell: Workcell, tra
 
 
 def test_beginning_wipes_what_was(workcell: Workcell, trajectories: list[Array]) -> None:
-    batch = Episodes.empty(2, 6)
+    batch = Episodes(2, 6)
     batch.steps[:], batch.rewards[:], batch.tried[:], batch.stored[:] = 9, 9.0, True, True
     batch.begin(1, 7, sampler(workcell, trajectories, 0.0).draw(np.random.default_rng(0)))
     assert (batch.steps[1], batch.rewards[1], batch.numbers[1]) == (0, 0.0, 7)
@@ -150,7 +150,7 @@ def test_reopening_lets_the_episodes_that_are_there_try_one_action_anew(
 
 
 def test_a_restored_batch_is_the_same_and_apart(workcell: Workcell, trajectories: list[Array]) -> None:
-    old, new = begun(sampler(workcell, trajectories, 0.5, 0.5), 5), Episodes.empty(5, 6)
+    old, new = begun(sampler(workcell, trajectories, 0.5, 0.5), 5), Episodes(5, 6)
     state = old.state()
     new.restore(state)
     for name, values in old.state().items():

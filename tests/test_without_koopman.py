@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.evaluation.baselines import Greedy, MeanTangent, NearestVelocity
+from koopdqn.evaluation.baselines import Greedy, mean_tangent, nearest_velocity
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
@@ -39,7 +39,7 @@ def beside(here: Array, offset: list[float]) -> Array:
 def test_beside_a_straight_line_both_go_on_beside_it(shelf_task: Task, index: int, offset: list[float]) -> None:
     shown = line(shelf_task)
     here = beside(shown[index], offset)
-    for prediction in (NearestVelocity.of([shown], shelf_task), MeanTangent.of([shown], shelf_task)):
+    for prediction in (nearest_velocity([shown], shelf_task), mean_tangent([shown], shelf_task)):
         moved = prediction(here)[0, pose.POSITION] - here[0, pose.POSITION]
         np.testing.assert_allclose(moved, [0.0, STEP, 0.0], atol=1e-6)
 
@@ -49,7 +49,7 @@ def test_a_demonstrated_pose_moves_and_turns_as_it_did(shelf_task: Task, index: 
     shown = line(shelf_task, turned=TURN)
     # q and −q are the same rotation.
     here = pose.make(shown[index, pose.POSITION], sign * shown[index, pose.QUATERNION])[None]
-    after = NearestVelocity.of([shown], shelf_task)(here)
+    after = nearest_velocity([shown], shelf_task)(here)
     assert pose.position_distance(after[0], shown[index + 1]) < 1e-12
     assert pose.rotation_distance(after[0], shown[index + 1]) < 1e-6
 
@@ -58,7 +58,7 @@ def test_the_nearest_velocity_is_that_of_the_pose_whose_orientation_is_nearer_to
     shown = line(shelf_task)
     other = shown[::-1].copy()
     other[:, pose.QUATERNION] = pose.multiply(shown[:, pose.QUATERNION], pose.from_rotation_vector([0.0, 0.5, 0.0]))
-    prediction = NearestVelocity.of([shown, other], shelf_task)
+    prediction = nearest_velocity([shown, other], shelf_task)
     for rows, way in ((shown, 1.0), (other, -1.0)):
         here = rows[50][None]
         assert (prediction(here) - here)[0, 1] == pytest.approx(way * STEP)
@@ -71,7 +71,7 @@ def test_the_tangent_turns_as_the_mean_is_turned_a_step_on_whatever_is_left(
     shown = line(shelf_task, turned=TURN)
     here = beside(shown[index], offset)
     here[:, pose.QUATERNION] = pose.multiply(here[:, pose.QUATERNION], pose.from_rotation_vector([0.0, 0.0, -lag]))
-    after = MeanTangent.of([shown], shelf_task)(here)
+    after = mean_tangent([shown], shelf_task)(here)
     # The mean is sampled every half millimetre, the turn of a quarter of a step.
     assert pose.rotation_distance(after[0], shown[index + 1]) < 0.5 * TURN
 
@@ -81,14 +81,14 @@ def test_beyond_the_end_of_what_was_shown_the_goal_is_next(shelf_task: Task, off
     shown = line(shelf_task)
     here = beside(shown[-1], offset)
     here[:, 1] += 0.01
-    for prediction in (NearestVelocity.of([shown], shelf_task), MeanTangent.of([shown], shelf_task)):
+    for prediction in (nearest_velocity([shown], shelf_task), mean_tangent([shown], shelf_task)):
         np.testing.assert_array_equal(prediction(here)[0], shelf_task.goal)
 
 
 def test_a_turn_in_place_goes_on_to_the_goal(shelf_task: Task) -> None:
     shown = line(shelf_task, turned=TURN)
     shown[:, pose.POSITION] = shelf_task.goal[pose.POSITION]
-    for prediction in (NearestVelocity.of([shown], shelf_task), MeanTangent.of([shown], shelf_task)):
+    for prediction in (nearest_velocity([shown], shelf_task), mean_tangent([shown], shelf_task)):
         after = prediction(shown[50][None])
         before_it, after_it = (pose.rotation_distance(rows, shelf_task.goal) for rows in (shown[50], after[0]))
         assert after_it < before_it

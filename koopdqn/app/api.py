@@ -28,7 +28,7 @@ from koopdqn.tasks.workcell import Workcell
 if TYPE_CHECKING:
     from koopdqn.envs.batch import EnvironmentParts
     from koopdqn.envs.dm import KoopmanEnvironment
-    from koopdqn.rl.history import Check, History
+    from koopdqn.rl.checks import Check, History
     from koopdqn.rl.policy import Policy
 
 
@@ -325,7 +325,7 @@ def _answering(config: Configuration, oracle: Oracle | None, workcell: Workcell,
     Raises:
         BadInputError: it cannot.
     """
-    from koopdqn.rl.around import answering
+    from koopdqn.rl.human_reward import answering
 
     if oracle is None:
         config.oracle.check()

@@ -82,8 +82,7 @@ class EnvironmentParts:
 
         drawn = draw_starts(self.workcell, task, np.random.default_rng(seed), episodes)
         made = roll_out(
-            *(chosen, task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit),
-            moved=drawn.moved,
+            *(chosen, task, self.workcell.reachability, drawn.starts, drawn.joints, self.step_limit), moved=drawn.moved
         )
         return float(np.mean([episode.outcome == SUCCESS for episode in made]))
 
@@ -114,9 +113,8 @@ class Batch:
         """Begin ``count`` episodes, their starts drawn from ``rng``; no answer is known."""
         workcell, reward = trained_in(parts.workcell), parts.reward
         self._task = workcell.task
-        self._frame = reward.model.start_frame
         self._tries = np.zeros(count, dtype=np.int64)
-        starts = parts.starts or StartSampler(workcell, self._frame, [], parts.step_limit)
+        starts = parts.starts or StartSampler(workcell, reward.model.start_frame, [], parts.step_limit)
         feedback = Feedback(reward, parts.oracle, parts.feedback, parts.budget)
         self._env = VectorEnv(workcell, feedback, starts, count, rng, twists=1)
 
@@ -137,8 +135,7 @@ class Batch:
 
     def observations(self) -> NDArray[np.float32]:
         """Return the agent's observations, (N, 5) with orientation held and (N, 8) otherwise."""
-        episodes = self._env.episodes
-        return observe(self._frame.to_frame(episodes.poses, episodes.starts), self._task)
+        return self._env.observations()
 
     def step_only(self, action: Any) -> Steps:
         """Try an action in the only episode: an index in Table 1, also in an array of one, or a twist (3,) or (6,).

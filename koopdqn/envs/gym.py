@@ -165,7 +165,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
         else:
             self._begin(np.ones(self.num_envs, dtype=bool))
         self._ended[:] = False
-        return self._batch.observations(), self._poses(np.ones(self.num_envs, dtype=bool))
+        return self._batch.observations(), self._poses()
 
     def step(self, actions: np.ndarray) -> tuple[Observations, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Try an action (N,) in each episode, as :meth:`KoopmanEnv.step` does in one.
@@ -181,7 +181,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
         if self.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP and self._ended.any():
             infos = self._begin_ended(steps)
         else:
-            infos = {**self._poses(np.ones(self.num_envs, dtype=bool)), **_told(steps, active)}
+            infos = {**self._poses(), **_told(steps, active)}
         return batch.observations(), steps.rewards, steps.terminated, steps.truncated, infos
 
     def render(self) -> tuple[Image, ...] | None:
@@ -211,8 +211,9 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
         for index in np.flatnonzero(which):
             self._begun().begin(int(index))
 
-    def _poses(self, which: np.ndarray) -> dict[str, Any]:
-        return {"pose": self._begun().poses, "_pose": which}
+    def _poses(self, which: np.ndarray | None = None) -> dict[str, Any]:
+        every = np.ones(self.num_envs, dtype=bool)
+        return {"pose": self._begun().poses, "_pose": every if which is None else which}
 
     def _begin_ended(self, steps: Steps) -> dict[str, Any]:
         """Begin the episodes that have ended; return the infos of all, with how these ended apart."""
@@ -223,7 +224,7 @@ class KoopmanVectorEnv(gymnasium.vector.VectorEnv[Observations, np.ndarray, np.n
         final = {**self._poses(ended), **_told(steps, ended)}
         self._begin(ended)
         self._ended[:] = False
-        told = {**self._poses(np.ones(self.num_envs, dtype=bool)), **_told(steps, going)}
+        told = {**self._poses(), **_told(steps, going)}
         return {**told, "final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
 
 

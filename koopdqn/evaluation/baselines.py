@@ -3,8 +3,6 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,105 +19,69 @@ from koopdqn.tasks.step import IN_PLACE, TURNS_PER_STEP
 from koopdqn.tasks.task import Task, demonstrator_next_poses
 from koopdqn.tasks.workcell import Workcell
 
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
-
 NextPose = Callable[[Array], Array]
 """Gives the next poses (N, 7) of poses (N, 7), both told in the intent's start frame."""
 
 
-@dataclass(frozen=True)
-class NearestVelocity:
-    """Moves as the nearest demonstrated pose moved: the same displacement, and the same turn in the tool's own frame.
+def nearest_velocity(trajectories: list[Array], task: Task) -> NextPose:
+    """Return what moves as the nearest demonstrated pose moved, by its displacement and its turn in the tool's frame.
 
     Nearest is by position in steps of the agent and by orientation in its turns in place, added as squares. Nothing
     leads back to the demonstrations. Where a demonstration's last pose is nearest, which has no velocity, the goal is
-    next.
-
-    Attributes:
-        before: (M, 7) demonstrated poses but the last ones.
-        after: (M, 7) those that follow them.
-        last: (D, 7) the last pose of each demonstration.
-        task: gives goal, step and turn.
+    next. Trajectories are demonstrated poses (N, 7) at the agent's step, told in the start frame.
     """
+    from scipy.spatial import KDTree
 
-    before: Array
-    after: Array
-    last: Array
-    task: Task
+    before = np.concatenate([rows[:-1] for rows in trajectories])
+    after = np.concatenate([rows[1:] for rows in trajectories])
+    known = np.concatenate([before, [rows[-1] for rows in trajectories]])
+    # Twice the distance of two unit quaternions is the angle between them, to 3 % up to a right angle.
+    scale = 2.0 / (IN_PLACE * task.rotation_tolerance_rad)
 
-    @classmethod
-    def of(cls, trajectories: list[Array], task: Task) -> "NearestVelocity":
-        """Return the prediction from demonstrated poses (N, 7) at the agent's step, told in the start frame."""
-        before = np.concatenate([rows[:-1] for rows in trajectories])
-        after = np.concatenate([rows[1:] for rows in trajectories])
-        return cls(before, after, np.array([rows[-1] for rows in trajectories]), task)
+    def coordinates(poses: Array) -> Array:
+        return np.concatenate([poses[:, pose.POSITION] / task.step_m, scale * poses[:, pose.QUATERNION]], axis=1)
 
-    def __call__(self, poses: Array) -> Array:
-        """Return the next poses (N, 7) of poses (N, 7)."""
-        count = len(self.before) + len(self.last)
-        nearest = self._tree.query(self._coordinates(poses))[1] % count
-        moving = np.minimum(nearest, len(self.before) - 1)
-        here, there = self.before[moving], self.after[moving]
+    # q and −q are the same rotation.
+    opposite = pose.make(known[:, pose.POSITION], -known[:, pose.QUATERNION])
+    tree = KDTree(coordinates(np.concatenate([known, opposite])))
+
+    def next_poses(poses: Array) -> Array:
+        nearest = tree.query(coordinates(poses))[1] % len(known)
+        moving = np.minimum(nearest, len(before) - 1)
+        here, there = before[moving], after[moving]
         turn = pose.multiply(pose.conjugate(here[:, pose.QUATERNION]), there[:, pose.QUATERNION])
         onward = pose.make(
             poses[:, pose.POSITION] + there[:, pose.POSITION] - here[:, pose.POSITION],
             pose.multiply(poses[:, pose.QUATERNION], turn),
         )
-        return np.where((nearest < len(self.before))[:, None], onward, self.task.goal)
+        return np.where((nearest < len(before))[:, None], onward, task.goal)
 
-    @cached_property
-    def _tree(self) -> "KDTree":
-        from scipy.spatial import KDTree
-
-        known = np.concatenate([self.before, self.last])
-        # q and −q are the same rotation.
-        opposite = pose.make(known[:, pose.POSITION], -known[:, pose.QUATERNION])
-        return KDTree(self._coordinates(np.concatenate([known, opposite])))
-
-    def _coordinates(self, poses: Array) -> Array:
-        # Twice the distance of two unit quaternions is the angle between them, to 3 % up to a right angle.
-        scale = 2.0 / (IN_PLACE * self.task.rotation_tolerance_rad)
-        return np.concatenate([poses[:, pose.POSITION] / self.task.step_m, scale * poses[:, pose.QUATERNION]], axis=1)
+    return next_poses
 
 
-@dataclass(frozen=True)
-class MeanTangent:
-    """Moves along the mean demonstration's direction at its nearest place and turns as that is turned a step further.
+def mean_tangent(trajectories: list[Array], task: Task) -> NextPose:
+    """Return what moves along the mean demonstration's direction at its nearest place and turns as that a step further.
 
     Nearest is by position. Nothing leads back to the mean: from beside it the way runs beside it. Where its end is
-    nearest, it has no direction left, and the goal is next.
-
-    Attributes:
-        mean: the mean demonstration.
-        task: gives goal and step.
+    nearest, it has no direction left, and the goal is next. Trajectories are those of :func:`nearest_velocity`.
     """
+    from scipy.spatial import KDTree
 
-    mean: ReferencePath
-    task: Task
+    mean = ReferencePath.along(_mean(trajectories))
+    places, last = mean.places, len(mean.places.points) - 1
+    tree = KDTree(places.points)
 
-    @classmethod
-    def of(cls, trajectories: list[Array], task: Task) -> "MeanTangent":
-        """Return the prediction from demonstrated poses (N, 7) at the agent's step, told in the start frame."""
-        return cls(ReferencePath.along(_mean(trajectories)), task)
-
-    def __call__(self, poses: Array) -> Array:
-        """Return the next poses (N, 7) of poses (N, 7)."""
-        places = self.mean.places
-        position, last = poses[:, pose.POSITION], len(places.points) - 1
-        nearest = self._tree.query(position)[1]
+    def next_poses(poses: Array) -> Array:
+        position = poses[:, pose.POSITION]
+        nearest = tree.query(position)[1]
         direction = places.points[np.minimum(nearest + 1, last)] - places.points[nearest]
         direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
         # Of a turn in place the path has no length.
-        ahead = np.minimum(nearest + round(self.task.step_m / max(places.spacing, 1e-6)), last)
-        onward = pose.make(position + self.task.step_m * direction, self.mean.quaternions[ahead])
-        return np.where((nearest < last)[:, None], onward, self.task.goal)
+        ahead = np.minimum(nearest + round(task.step_m / max(places.spacing, 1e-6)), last)
+        onward = pose.make(position + task.step_m * direction, mean.quaternions[ahead])
+        return np.where((nearest < last)[:, None], onward, task.goal)
 
-    @cached_property
-    def _tree(self) -> "KDTree":
-        from scipy.spatial import KDTree
-
-        return KDTree(self.mean.places.points)
+    return next_poses
 
 
 @dataclass(frozen=True)
@@ -171,12 +133,7 @@ def straight_path(start: Array, end: Array, task: Task) -> Array:
 def replay_path(start: Array, trajectories: list[Array], task: Task) -> Array:
     """Return the poses (T, 7) of replaying, from a start (7,), the demonstration that begins nearest in position.
 
-    The way leads straight to its first pose, then through its poses as recorded, neither shifted nor scaled.
-
-    Args:
-        start: where the arm is.
-        trajectories: demonstrated poses (N, 7) at the agent's step, at least one.
-        task: gives the step.
+    The way leads straight to its first pose, then through its poses (N, 7) as recorded, neither shifted nor scaled.
     """
     nearest = min(trajectories, key=lambda trajectory: float(pose.position_distance(trajectory[0], start)))
     return np.concatenate([straight_path(start, nearest[0], task), nearest[1:]])
@@ -189,18 +146,12 @@ def baseline_episodes(
     starts: Array,
     joints: Array,
     step_limit: int,
-    moved: Array | None = None,
+    moved: Array | None,
 ) -> Iterator[tuple[str, list[Episode]]]:
     """Yield the episodes of every method of :class:`koopdqn.evaluation.schema.Baselines`, by its name.
 
-    Args:
-        workcell: task, arm and scene.
-        reward: the reward function, with its intent model.
-        trajectories: demonstrated poses (N, 7) at the agent's step.
-        starts: (N, 7).
-        joints: (N, 6) [rad] there.
-        step_limit: steps after which an episode fails.
-        moved: (N, 3) [m] by which goals are moved; None for not at all.
+    They begin at starts (N, 7) with joints (N, 6) [rad] and fail after a step limit. Trajectories are demonstrated
+    poses (N, 7) at the agent's step; goals may be moved, by ``moved`` (N, 3) [m].
     """
     task, frame = workcell.task, reward.model.start_frame
     placed = frame.each(trajectories)
@@ -234,8 +185,8 @@ def baseline_episodes(
     yield "constant_action", max((controlled(_always(action)) for action in range(COUNT)), key=_successes)
     yield "greedy", controlled(greedy())
     yield "argmax_reward", controlled(best_by_reward)
-    yield "nearest_velocity", controlled(greedy(NearestVelocity.of(placed, task)))
-    yield "mean_tangent", controlled(greedy(MeanTangent.of(placed, task)))
+    yield "nearest_velocity", controlled(greedy(nearest_velocity(placed, task)))
+    yield "mean_tangent", controlled(greedy(mean_tangent(placed, task)))
     yield "mean_pursuit", controlled(greedy(mean_expert(placed, task).next_pose))
     yield "nearest_demonstration", followed(lambda start: replay_path(start, trajectories, task))
     mean = _mean(placed)

@@ -71,8 +71,11 @@ def play(
     Raises:
         BadInputError: the path has fewer than two rows, or an actuator is no position actuator.
     """
-    _check_shape(joints, workcell)
     arm = workcell.arm
+    if joints.ndim != 2 or joints.shape[1] != len(arm.joint_names) or len(joints) < 2:
+        raise BadInputError(
+            f"a joint path must have shape (T, {len(arm.joint_names)}) with T >= 2, found {joints.shape}"
+        )
     scene = copy.copy(workcell.scene)
     scene.data = mujoco.MjData(scene.model)
     seconds = float(scene.model.opt.timestep)
@@ -109,12 +112,6 @@ def play(
         joints=made,
         physics_seconds=seconds,
     )
-
-
-def _check_shape(joints: Array, workcell: Workcell) -> None:
-    count = len(workcell.arm.joint_names)
-    if joints.ndim != 2 or joints.shape[1] != count or len(joints) < 2:
-        raise BadInputError(f"a joint path must have shape (T, {count}) with T >= 2, found {joints.shape}")
 
 
 def summarise(executions: list[Execution], time_scale: float, step_seconds: float) -> DynamicsReport:

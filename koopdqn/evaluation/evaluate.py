@@ -10,11 +10,17 @@ from koopdqn import pose
 from koopdqn.evaluation.baselines import baseline_episodes
 from koopdqn.evaluation.dynamics import play, summarise
 from koopdqn.evaluation.metrics import hausdorff_mm, measure, reference_paths
-from koopdqn.evaluation.schema import Baselines, DynamicsReport, EvaluationReport, HoldoutReport, MethodReport
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import (
+    Baselines,
+    DynamicsReport,
+    EvaluationReport,
+    EvaluationSettings,
+    HoldoutReport,
+    MethodReport,
+)
 from koopdqn.intent.reward import IntentReward
 from koopdqn.pose import Array
-from koopdqn.rl.around import tube_of
+from koopdqn.rl.policy import tube_of
 from koopdqn.safety.guard import Guard, GuardSettings
 from koopdqn.safety.separation import separation, separation_report
 from koopdqn.tasks.moved_goals import DrawnStarts, draw_starts

@@ -164,8 +164,7 @@ def measure(
 
     Args:
         episodes: at least one.
-        references: the demonstrator's own path (T, 7) from each episode's start; None where there is none, and
-            then no deviation.
+        references: the demonstrator's own path (T, 7) from each episode's start; None for none, and no deviation.
         task: gives the goal.
         trust: the tube.
         frame: in which the tube knows poses.

@@ -123,9 +123,7 @@ class Variant(ReportModel):
 def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
     """Return every training run below a folder with its newest evaluation, unfinished and failed ones included.
 
-    Args:
-        folder: of a Hydra multirun, or any folder of runs.
-        elsewhere: folders that are searched for evaluations as well.
+    It is the folder of a Hydra multirun or any other; evaluations may lie ``elsewhere`` as well.
 
     Raises:
         BadInputError: the folder does not exist, or holds no training run.

@@ -5,7 +5,7 @@ beside the path, found from the costs to come (Bellman 1957): it looks ahead of 
 since a place counts as free where the whole arm is.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -46,12 +46,7 @@ _FOLLOWED = 4
 
 
 def around_obstacles(workcell: Workcell, reward: IntentReward, trajectories: list[Array]) -> IntentReward:
-    """Return the reward function with its intent bent around the obstacles of a workcell's task.
-
-    Args:
-        workcell: task, arm and scene.
-        reward: the reward function.
-        trajectories: demonstrated poses (N, 7).
+    """Return the reward function with its intent, shown by trajectories (N, 7), bent around obstacles of the task.
 
     Raises:
         BadInputError: there is no way around within reach.
@@ -59,17 +54,13 @@ def around_obstacles(workcell: Workcell, reward: IntentReward, trajectories: lis
     bend = detour(workcell, reward.model, np.array([rows[0] for rows in trajectories]))
     if bend is None:
         return reward
-    model, trust = BentIntent(reward.model, bend), BentTrust.of(reward.trust, bend)
-    return IntentReward(reward.task, model, trust, reward.settings, continuous=reward.continuous)
+    return replace(reward, model=BentIntent(reward.model, bend), trust=BentTrust.of(reward.trust, bend))
 
 
 def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None:
     """Return the bend that takes the intent's path around a task's obstacles; None where none is in the way.
 
-    Args:
-        workcell: task, arm and scene.
-        model: the intent.
-        starts: (D, 7) where demonstrations begin; if paths follow their start, those of all are kept clear.
+    If paths follow their start, those from all of the demonstrations' ``starts`` (D, 7) are kept clear.
 
     Raises:
         BadInputError: there is no way around within reach.
@@ -82,34 +73,21 @@ def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None
     blocked = np.flatnonzero(grid.own_rooms[:, 0] < 0.0)
     if not len(blocked):
         return None
-    best: _Way | None = None
+    best: tuple[Bend, float] | None = None
     for half, before, behind in _REACHES:
         first = max(0, int(blocked[0]) - round(before / _LAYER_M))
         last = min(grid.count - 1, int(blocked[-1]) + round(behind / _LAYER_M))
         way = grid.way(first, last, half)
-        if way is not None and (best is None or way.tightest < best.tightest):
+        if way is not None and (best is None or way[1] < best[1]):
             best = way
-        if best is not None and best.tightest <= _TIGHT:
+        if best is not None and best[1] <= _TIGHT:
             break
     if best is None:
         reach = _REACHES[-1][0] * _CELL_M
         raise BadInputError(
             f"task {task.name}: obstacles must leave a way around within {reach:g} m of the intended path, found none"
         )
-    return best.bend
-
-
-@dataclass(frozen=True)
-class _Way:
-    """A way around.
-
-    Attributes:
-        bend: that takes it.
-        tightest: largest missing share of the slack.
-    """
-
-    bend: Bend
-    tightest: float
+    return best[0]
 
 
 @dataclass(frozen=True)
@@ -177,16 +155,11 @@ class _Grid:
                     found[index, place] = np.minimum(found[index, place], room)
         return found
 
-    def way(self, first: int, last: int, half: int) -> "_Way | None":
-        """Return the cheapest way that the arm can follow and that is off the path between two layers at most.
+    def way(self, first: int, last: int, half: int) -> tuple[Bend, float] | None:
+        """Return the cheapest way that the arm can follow and that is off the path between two layers at most, if any.
 
-        Args:
-            first: layer up to which the path itself is followed.
-            last: layer from which it is followed again.
-            half: half width of the grid [cells].
-
-        Returns:
-            None if there is none.
+        It is the bend that takes it, and the largest missing share of the slack. The grid reaches ``half`` cells to
+        either side.
         """
         cells = np.arange(-half, half + 1)
         flat = np.stack(np.meshgrid(cells, cells, indexing="ij"), axis=-1).reshape(-1, 2) * _CELL_M
@@ -208,7 +181,7 @@ class _Grid:
             wanted[first : last + 1] = offsets[layers, places]
             bend, refused = self._bend(wanted)
             if bend is not None:
-                return _Way(bend, float(missing[layers, places][1:-1].max(initial=0.0)))
+                return bend, float(missing[layers, places][1:-1].max(initial=0.0))
             about = {int(np.floor(refused)), int(np.ceil(refused))} & set(range(first + 1, last))
             if not about:
                 return None
@@ -273,14 +246,9 @@ class _Grid:
 
 
 def _cheapest(cost: Array, side: int) -> np.ndarray | None:
-    """Return the place (K,) in each layer of the cheapest way between the first and the last layer's free places.
+    """Return the place (K,) in each layer of the cheapest way from the first to the last; None if there is none.
 
-    Args:
-        cost: of the places (K, side²); infinite where none may be.
-        side: width of the grid [cells].
-
-    Returns:
-        None if there is no way.
+    The costs are of places (K, side²) in a grid ``side`` cells wide, infinite where none may be.
     """
     shifts = [(i, j) for i in range(-_SIDEWAYS, _SIDEWAYS + 1) for j in range(-_SIDEWAYS, _SIDEWAYS + 1)]
     slopes = np.array([_SLOPE * (i * i + j * j) * (_CELL_M / _LAYER_M) ** 2 for i, j in shifts])

@@ -16,7 +16,15 @@ from koopdqn.intent.reward import TRUSTED, IntentReward, RewardSettings
 from koopdqn.intent.schema import FitReport
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.intent.tube import Tube
-from koopdqn.intent.validation import Fold, convergence, cross_validate, jackknife_signs, left_out_share, sizes_of
+from koopdqn.intent.validation import (
+    Fold,
+    convergence,
+    cross_validate,
+    held_out_contained,
+    jackknife_signs,
+    left_out_share,
+    sizes_of,
+)
 from koopdqn.paths import arc_lengths, hausdorff, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
@@ -52,37 +60,12 @@ def _roll_out_error(fold: Fold, task: Task) -> tuple[float, float]:
     return final, hausdorff(path, fold.held_out[:, pose.POSITION])
 
 
-def held_out_contained(
-    trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
-) -> list[np.ndarray]:
-    """Return whether the trust domain of the others contains each pose of each demonstration, (N,) each.
-
-    The list is empty for a single demonstration.
-
-    Args:
-        trajectories: demonstrated poses (N, 7).
-        signs: (N − 1, L, 2) for each, as :meth:`TrustSettings.fit` takes them.
-        task: gives the frame of angles.
-        settings: how the domains are fitted.
-    """
-    contained = []
-    for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
-        others = [i for i in range(len(trajectories)) if i != index]
-        fold = settings.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame)
-        contained.append(fold.contains(held_out, np.arange(len(held_out))))
-    return contained
-
-
 def trust_summary(
     domain: TrustDomain, trajectories: list[Array], contained: Sequence[np.ndarray], fresh: list[Array]
 ) -> dict[str, Any]:
-    """Return width and coverage of a trust domain.
+    """Return width and coverage of a trust domain fitted to demonstrated poses (N, 7), as in ``fit.json``.
 
-    Args:
-        domain: fitted to all demonstrations.
-        trajectories: these, poses (N, 7).
-        contained: as :func:`held_out_contained` returns it.
-        fresh: poses (N, 7) of demonstrations that nothing was fitted to.
+    ``contained`` is that of :func:`held_out_contained`; to fresh demonstrations (N, 7) nothing was fitted.
     """
     settings = domain.settings
     tube = domain if isinstance(domain, Tube) else None
@@ -105,12 +88,9 @@ def trust_summary(
 
 
 def right_summary(folds: Sequence[Fold], reward: IntentReward, fresh: list[Array]) -> dict[str, float | None]:
-    """Return the shares of rewards whose sign is right.
+    """Return the shares of rewards whose sign is right, in the folds and by what was fitted to all demonstrations.
 
-    Args:
-        folds: of the cross-validation.
-        reward: by the model and the trust domain fitted to all demonstrations.
-        fresh: poses (N, 7) of demonstrations that nothing was fitted to, as recorded.
+    To fresh demonstrations (N, 7), as recorded, nothing was fitted.
     """
     trust, prediction = reward.trust, reward.settings.prediction
     doubt = float(np.median(trust.doubt))
@@ -260,7 +240,7 @@ def fit(
     learned = task.orientation == "learned"
     raw = [sizes_of(fold.error) for fold in found.folds]
     unseen = agent_steps(fresh, task) if fresh else []
-    region = convergence(model, domain, trajectories, task)
+    converging, converging_wide = convergence(model, domain, trajectories, task)
     contained = held_out_contained(trajectories, signs, task, trust)
     at_sixty, sixty = sixty_samples(demonstrations, task, intent.with_ridge(found.ridge))
     report: dict[str, Any] = {
@@ -274,9 +254,9 @@ def fit(
         "one_step_error_rad": _error_summary([fold.error[:, 3:] for fold in found.folds], _TURNS) if learned else None,
         "one_step_error_per_step_rad": _per_step([size[:, 1] for size in raw]) if learned else None,
         "roll_out_error_m": roll_out_summary(found.folds, task),
-        "converges": region.demonstrated == 1.0,
-        "converging_share": region.demonstrated,
-        "converging_share_wide": region.wide,
+        "converges": converging == 1.0,
+        "converging_share": converging,
+        "converging_share_wide": converging_wide,
         "length_ratio": length_ratio(model, trajectories, task),
         "ridge": found.ridge,
         "regularisation": [
@@ -344,12 +324,8 @@ def _per_step(sizes: list[Array]) -> dict[str, list[float]] | None:
 def length_ratio(model: IntentModel, trajectories: list[Array], task: Task) -> float:
     """Return how long the model's own way to the goal is, in shares of the demonstration from the same start: a median.
 
-    Where demonstrations come back over the same place only the last passage is learned, and the way is shorter.
-
-    Args:
-        model: the model.
-        trajectories: demonstrated poses (N, 7) in the model's start frame.
-        task: gives step, goal and its tolerance.
+    Demonstrated poses (N, 7) are in the model's start frame. Where demonstrations come back over the same place only
+    the last passage is learned, and the way is shorter.
     """
     starts = np.array([trajectory[0] for trajectory in trajectories])
     limit = 2 * max(len(trajectory) for trajectory in trajectories)

@@ -157,10 +157,6 @@ class KoopmanModel:
         """Return the lifted states (N, D) of states (N, d)."""
         return self.observables.lift((states - self.center) / self.scale)
 
-    def project(self, lifted: Array) -> Array:
-        """Return the states (N, d) of lifted states (N, D)."""
-        return self.center + self.scale * self.observables.project(lifted, len(self.center))
-
     def predict(self, states: Array) -> Array:
         """Return the predicted next states (N, d) of states (N, d)."""
         # One step needs only the state's rows of K.

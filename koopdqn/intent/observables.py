@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
-from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.pose import Array
 from koopdqn.settings import Floats, Interval, Settings, load_settings, shown
@@ -18,7 +17,7 @@ from koopdqn.settings import Floats, Interval, Settings, load_settings, shown
 class Observables(Settings, ABC):
     """A lift g of states x (N, d) to z (N, D) whose first d entries are x itself.
 
-    The inverse g⁻¹ reads those entries (§5.1). Subclass it for new observables; the fields are its settings.
+    The inverse g⁻¹ reads those entries (§5.1, Eq. 14). Subclass it for new observables; the fields are its settings.
     """
 
     def lift(self, states: Array) -> Array:
@@ -48,10 +47,6 @@ class Observables(Settings, ABC):
 
     def _must_return(self, rule: str, found: str) -> BadInputError:
         return BadInputError(f"observables {type(self).__name__}: features must return {rule}, found {found}")
-
-    def project(self, lifted: Array, dimension: int) -> Array:
-        """Return the states (N, d) of lifted states (N, D): the inverse g⁻¹, Eq. 14."""
-        return lifted[:, :dimension]
 
     @abstractmethod
     def features(self, states: Array) -> Array:
@@ -199,15 +194,6 @@ class RadialBasis(Observables):
         assert centers is not None
         squared = (states**2).sum(axis=1)[:, None] - 2.0 * states @ centers.T + (centers**2).sum(axis=1)
         return np.asarray(np.exp(-0.5 * np.maximum(squared, 0.0) / self.length_scale**2))
-
-
-class RotationEntries(Observables):
-    """The entries of R(o) − I for rotation vectors o from the goal: smooth, without wrap or sign, zero at the goal."""
-
-    def features(self, states: Array) -> Array:
-        """Return the features (N, 9) of rotation vectors (N, 3) [rad]."""
-        matrices = pose.to_matrix(pose.from_rotation_vector(states))
-        return np.asarray((matrices - np.eye(3)).reshape(len(states), 9))
 
 
 class RadialTurn(Observables):

@@ -1,6 +1,7 @@
 """The reward of Algorithm 1: from the intent model where it is trusted, otherwise from the oracle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -99,6 +100,7 @@ class ActionEvaluation:
             getattr(self, name)[rows] = getattr(evaluation, name)
 
 
+@dataclass(frozen=True, eq=False)
 class IntentReward:
     """The reward function of a task with a fitted intent.
 
@@ -110,16 +112,15 @@ class IntentReward:
         continuous: whether actions are continuous.
     """
 
-    def __init__(
-        self, task: Task, model: IntentModel, trust: TrustDomain, settings: RewardSettings, *, continuous: bool = False
-    ) -> None:
-        """Combine the parts."""
-        self.task = task
-        self.model = model
-        self.trust = trust
-        self.settings = settings
-        self.continuous = continuous
-        self._illegal = ~legal_actions(task)
+    task: Task
+    model: IntentModel
+    trust: TrustDomain
+    settings: RewardSettings
+    continuous: bool = field(default=False, kw_only=True)
+
+    @cached_property
+    def _illegal(self) -> np.ndarray:
+        return ~legal_actions(self.task)
 
     def extended(self, yeses: Array, radii: Array, before: Array, after: Array, reaches: Array) -> "IntentReward":
         """Return the reward function extended by answers, all in the model's start frame.
@@ -133,7 +134,7 @@ class IntentReward:
         """
         model = corrected(self.model, before, after, reaches)
         trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
-        return IntentReward(self.task, model, trust, self.settings, continuous=self.continuous)
+        return replace(self, model=model, trust=trust)
 
     def value(self, right: bool, at_goal: bool) -> float:
         """Return the reward of an answer."""
@@ -235,11 +236,8 @@ def certain_signs(margin: Array, doubt: float | Array) -> np.ndarray:
     """Return which comparisons (N, 10) lie outside the guard band around the tolerance.
 
     Within it a small error of the model would turn the sign. The best action is always certain, since some action is
-    always right (``Task`` limits the step so).
-
-    Args:
-        margin: (N, 10) as :attr:`ActionEvaluation.margin`.
-        doubt: width of the guard band as a share of the tolerance, one or (N, 10).
+    always right (``Task`` limits the step so). Margins (N, 10) are those of :attr:`ActionEvaluation.margin`, the doubt,
+    one or (N, 10), is the band's width as a share of the tolerance.
     """
     best = margin == margin.max(axis=1, keepdims=True)
     return np.asarray(best | (np.abs(margin) >= doubt))

@@ -2,19 +2,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AliasChoices, BeforeValidator, Field, model_validator
 
 from koopdqn import pose
+from koopdqn.artifact import below
 from koopdqn.intent.augment import Augmentation, Pairs, augmented
 from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs, within_radius
 from koopdqn.intent.model import IntentModel, IntentSettings
-from koopdqn.intent.observables import Affine, AnyObservables
-from koopdqn.intent.whole_pose import RotationModel, RotationSettings
+from koopdqn.intent.observables import Affine, AnyObservables, RotationObservables
 from koopdqn.pose import Array
-from koopdqn.settings import Floats
+from koopdqn.settings import Floats, Settings
 from koopdqn.tasks.task import Task, angles_in, quaternions_in
 
 _LIFT = "lift_"
@@ -26,6 +26,56 @@ def _to_ridges(value: object) -> object:
 
 
 Ridges = Annotated[Floats, BeforeValidator(_to_ridges), Field(min_length=1)]
+
+
+class RotationSettings(Settings):
+    """How the model of orientations is fitted, K_o of Eq. 18."""
+
+    observables: RotationObservables
+    coordinates: Literal["vector", "angles"] = Field(
+        description="rotation vector from the goal, or roll, pitch and yaw in the task's frame (the paper)"
+    )
+    ridge: float = Field(ge=0, description="λ of the regularised least squares")
+
+
+@dataclass(frozen=True)
+class RotationModel:
+    """A Koopman model of orientations in coordinates (N, 3).
+
+    Attributes:
+        koopman: the model of the coordinates, K_o.
+        frame: (2, 4) left and right quaternions of the coordinates' frame.
+        coordinates: rotation vectors, or roll, pitch and yaw.
+    """
+
+    koopman: KoopmanModel
+    frame: Array
+    coordinates: Literal["vector", "angles"]
+
+    @classmethod
+    def fit(cls, quaternions: list[Array], task: Task, settings: RotationSettings) -> "RotationModel":
+        """Return the model fitted to trajectories of quaternions (N, 4)."""
+        at_goal = np.array([task.goal[pose.QUATERNION], pose.IDENTITY[pose.QUATERNION]])
+        frame = task.frame if settings.coordinates == "angles" else at_goal
+        rows = [_to_coordinates(trajectory, frame, settings.coordinates) for trajectory in quaternions]
+        before, after = snapshot_pairs(rows)
+        koopman = KoopmanModel.fit(settings.observables, before, after, np.zeros(3), 1.0, settings.ridge)
+        return cls(koopman, frame, settings.coordinates)
+
+    def predict(self, quaternions: Array) -> Array:
+        """Return the predicted next quaternions (N, 4) of quaternions (N, 4)."""
+        rows = self.koopman.predict(_to_coordinates(quaternions, self.frame, self.coordinates))
+        if self.coordinates == "angles":
+            return quaternions_in(self.frame, rows)
+        left, right = self.frame
+        return pose.multiply(left, pose.multiply(pose.from_rotation_vector(rows), pose.conjugate(right)))
+
+
+def _to_coordinates(quaternions: Array, frame: Array, kind: Literal["vector", "angles"]) -> Array:
+    if kind == "angles":
+        return angles_in(frame, quaternions)
+    left, right = frame
+    return pose.to_rotation_vector(pose.multiply(pose.conjugate(left), pose.multiply(quaternions, right)))
 
 
 class SeparateIntentSettings(IntentSettings):
@@ -97,18 +147,14 @@ class SeparateIntentSettings(IntentSettings):
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model with these arrays."""
-        lift = self.observables.restored(_below(arrays, _LIFT))
+        lift = self.observables.restored(below(arrays, _LIFT))
         position = KoopmanModel(lift, arrays["center"], float(arrays["scale"]), arrays["matrix"])
         rotation = None
         if "rotation_matrix" in arrays:
-            turn = self.rotation.observables.restored(_below(arrays, _ROTATION_LIFT))
+            turn = self.rotation.observables.restored(below(arrays, _ROTATION_LIFT))
             koopman = KoopmanModel(turn, np.zeros(3), 1.0, arrays["rotation_matrix"])
             rotation = RotationModel(koopman, arrays["rotation_frame"], self.rotation.coordinates)
         return SeparateIntent(position, rotation, arrays["goal"])
-
-
-def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    return {name.removeprefix(prefix): values for name, values in arrays.items() if name.startswith(prefix)}
 
 
 @dataclass(frozen=True)
@@ -206,12 +252,7 @@ class JointIntent(IntentModel):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the model as arrays, without its settings."""
-        return {
-            "matrix": self.koopman.matrix,
-            "frame": self.frame,
-            "held": np.array(self.held),
-            "goal": self.goal,
-        }
+        return {"matrix": self.koopman.matrix, "frame": self.frame, "held": np.array(self.held), "goal": self.goal}
 
 
 def _state(poses: Array, frame: Array) -> Array:

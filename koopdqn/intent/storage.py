@@ -6,7 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from koopdqn.artifact import Artifact, arrays_digest, check_task, described, read_artifact, reading, write_artifact
+from koopdqn.artifact import (
+    Artifact,
+    arrays_digest,
+    below,
+    check_task,
+    described,
+    read_artifact,
+    reading,
+    write_artifact,
+)
 from koopdqn.intent.correction import restored
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
@@ -64,8 +73,7 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
         settings = load_settings(about["intent"], IntentSettings, "intent")
         trust = load_settings(about["trust"], TrustSettings, "trust")
         own = {name: values for name, values in arrays.items() if not name.startswith(_TRUST)}
-        drawn = {name.removeprefix(_TRUST): values for name, values in arrays.items() if name.startswith(_TRUST)}
-        model, domain = restored(own, settings), TrustDomain.restore(drawn, trust)
+        model, domain = restored(own, settings), TrustDomain.restore(below(arrays, _TRUST), trust)
         _try_out(model, domain, task)
         return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))
 

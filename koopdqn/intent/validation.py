@@ -8,7 +8,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.reward import Prediction, certain_signs
-from koopdqn.intent.trust import TrustDomain
+from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses, within_tolerance
@@ -61,11 +61,7 @@ def cross_validate(
 ) -> Validation:
     """Return the folds of pose trajectories (N, 7), with the ridge of the least multi-step error.
 
-    Args:
-        trajectories: demonstrated poses at the agent's step.
-        task: gives step and goal.
-        intent: how models are fitted, and the candidate ridges.
-        advance: called with the number of folds done.
+    The trajectories are at the agent's step; ``advance`` is called with the number of folds done.
     """
     if len(trajectories) == 1:
         return Validation((), intent.ridges[0], {})
@@ -135,6 +131,21 @@ def jackknife_signs(
     ]
 
 
+def held_out_contained(
+    trajectories: list[Array], signs: list[Array], task: Task, settings: TrustSettings
+) -> list[np.ndarray]:
+    """Return whether the trust domain of the others contains each pose of each demonstration, (N,) each.
+
+    The list is empty for a single demonstration. Signs are those that :meth:`TrustSettings.fit` takes.
+    """
+    contained = []
+    for index, held_out in enumerate(trajectories if len(trajectories) > 1 else []):
+        others = [i for i in range(len(trajectories)) if i != index]
+        fold = settings.fit([trajectories[i] for i in others], [signs[i] for i in others], task.frame)
+        contained.append(fold.contains(held_out, np.arange(len(held_out))))
+    return contained
+
+
 def left_out_share(folds: Sequence[Fold], task: Task, prediction: Prediction, doubt: float) -> float | None:
     """Return the share of right signs, where right is what the left-out demonstration does next; None without folds."""
     if not folds:
@@ -153,13 +164,8 @@ def count_signs(
 ) -> Array:
     """Return the numbers of right signs and of signs, (N, L, 2), at poses (N, 7) for each of L doubts.
 
-    Args:
-        model: gives the rewards.
-        poses: in its start frame.
-        wished: (N, 7) a person's next poses.
-        task: gives actions and tolerances.
-        prediction: what rewards compare with.
-        doubts: as :func:`jackknife_signs` takes them.
+    The poses are in the model's start frame, ``wished`` (N, 7) are a person's next ones; prediction and doubts are as
+    :func:`jackknife_signs` takes them.
     """
     reached = reached_poses(poses, task)
     predicted = model.predict(poses)
@@ -181,28 +187,13 @@ _REST_STEPS = 25
 _PATIENCE = 3
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """Shares of starts from which the model reaches the goal.
-
-    Attributes:
-        demonstrated: of starts in the demonstrated region: the demonstrations' starts, starts of the task's region and
-            trusted states beside the demonstrations.
-        wide: of starts up to three times as far out as the start region.
-    """
-
-    demonstrated: float
-    wide: float
-
-
-def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array], task: Task) -> Convergence:
+def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array], task: Task) -> tuple[float, float]:
     """Return the shares of starts from which roll-outs of fixed step reach the goal's position and stay there.
 
-    Args:
-        model: the model.
-        trust: how far beside the demonstrations starts lie.
-        trajectories: demonstrated poses (N, 7) in the model's start frame.
-        task: gives step, start region, goal and its tolerance.
+    First of starts in the demonstrated region: the demonstrations' own, some of the task's region and trusted states
+    beside the demonstrations. Then of starts up to three times as far out as the start region.
+
+    Demonstrated poses (N, 7) are in the model's start frame; the trust domain says how far beside them starts may lie.
     """
     rng = np.random.default_rng(0)
     drawn = task.draw_starts(rng, _STARTS)
@@ -219,7 +210,7 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
 
     there, far = _arrives(in_frame, demonstrated, task, limit), _arrives(from_starts, wide, task, limit)
     region = np.concatenate([there, _arrives(from_starts, drawn, task, limit)])
-    return Convergence(float(region.mean()), float(far.mean()))
+    return float(region.mean()), float(far.mean())
 
 
 def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Generator) -> Array:

@@ -6,22 +6,22 @@ predicted from the position, a tool that lags behind in its turn is told to turn
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
+from koopdqn.artifact import below
 from koopdqn.intent.augment import SPACING_M, PursuitPath
-from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs
+from koopdqn.intent.koopman import KoopmanModel
 from koopdqn.intent.model import IntentModel, IntentSettings
-from koopdqn.intent.observables import Observables, RandomFourier, RotationObservables
+from koopdqn.intent.observables import Observables, RandomFourier
 from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
-from koopdqn.settings import Interval, Settings
+from koopdqn.settings import Interval
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE, full_step, one_step
-from koopdqn.tasks.task import Task, angles_in, quaternions_in
+from koopdqn.tasks.task import Task
 
 # Position, and the entries of R − I.
 _PLACE, _TURN = slice(0, 3), slice(3, 12)
@@ -81,9 +81,10 @@ class WholePoseSettings(IntentSettings):
         """Return the model with these arrays."""
         koopman = KoopmanModel(self._observables, np.zeros(12), 1.0, arrays["matrix"])
         spread, tolerance = float(arrays["spread"]), float(arrays["rotation_tolerance"])
-        held = {name.removeprefix(_FRAME): each for name, each in arrays.items() if name.startswith(_FRAME)}
         turns = bool(arrays["held"]), "in_full" in arrays
-        return WholePoseIntent(koopman, spread, *turns, tolerance, arrays["goal"], StartFrame.restore(held))
+        return WholePoseIntent(
+            koopman, spread, *turns, tolerance, arrays["goal"], StartFrame.restore(below(arrays, _FRAME))
+        )
 
     @property
     def _observables(self) -> FeaturesOfPlace:
@@ -199,53 +200,3 @@ def _nearest_rotations(matrices: Array) -> Array:
     left, _, right = np.linalg.svd(matrices)
     left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return np.asarray(Rotation.from_matrix(left @ right).as_quat()[:, [3, 0, 1, 2]])
-
-
-class RotationSettings(Settings):
-    """How the model of orientations is fitted, K_o of Eq. 18."""
-
-    observables: RotationObservables
-    coordinates: Literal["vector", "angles"] = Field(
-        description="rotation vector from the goal, or roll, pitch and yaw in the task's frame (the paper)"
-    )
-    ridge: float = Field(ge=0, description="λ of the regularised least squares")
-
-
-@dataclass(frozen=True)
-class RotationModel:
-    """A Koopman model of orientations in coordinates (N, 3).
-
-    Attributes:
-        koopman: the model of the coordinates, K_o.
-        frame: (2, 4) left and right quaternions of the coordinates' frame.
-        coordinates: rotation vectors, or roll, pitch and yaw.
-    """
-
-    koopman: KoopmanModel
-    frame: Array
-    coordinates: Literal["vector", "angles"]
-
-    @classmethod
-    def fit(cls, quaternions: list[Array], task: Task, settings: RotationSettings) -> "RotationModel":
-        """Return the model fitted to trajectories of quaternions (N, 4)."""
-        at_goal = np.array([task.goal[pose.QUATERNION], pose.IDENTITY[pose.QUATERNION]])
-        frame = task.frame if settings.coordinates == "angles" else at_goal
-        rows = [_to_coordinates(trajectory, frame, settings.coordinates) for trajectory in quaternions]
-        before, after = snapshot_pairs(rows)
-        koopman = KoopmanModel.fit(settings.observables, before, after, np.zeros(3), 1.0, settings.ridge)
-        return cls(koopman, frame, settings.coordinates)
-
-    def predict(self, quaternions: Array) -> Array:
-        """Return the predicted next quaternions (N, 4) of quaternions (N, 4)."""
-        rows = self.koopman.predict(_to_coordinates(quaternions, self.frame, self.coordinates))
-        if self.coordinates == "angles":
-            return quaternions_in(self.frame, rows)
-        left, right = self.frame
-        return pose.multiply(left, pose.multiply(pose.from_rotation_vector(rows), pose.conjugate(right)))
-
-
-def _to_coordinates(quaternions: Array, frame: Array, kind: Literal["vector", "angles"]) -> Array:
-    if kind == "angles":
-        return angles_in(frame, quaternions)
-    left, right = frame
-    return pose.to_rotation_vector(pose.multiply(pose.conjugate(left), pose.multiply(quaternions, right)))

@@ -65,12 +65,7 @@ class FileOracle(Oracle):
     """Appends questions to one file and reads their answers from another, each a line of JSON."""
 
     def __init__(self, questions: Path, answers: Path, name: str) -> None:
-        """Open both files; what is no pipe is made where it is missing.
-
-        Args:
-            questions: written to.
-            answers: read from; lines for questions of earlier numbers are passed over.
-            name: the source of answers that name none.
+        """Open both files; what is no pipe is made where it is missing. Answers that name no source are of ``name``.
 
         Raises:
             BadInputError: a file cannot be opened.

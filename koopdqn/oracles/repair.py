@@ -69,10 +69,7 @@ _ANSWERS = {"y": True, "yes": True, "right": True, "n": False, "no": False, "wro
 def parse_answer(text: str, action: int, *, continuous: bool = False) -> tuple[bool | None, int | None]:
     """Return what a text answers to a question about an action: right, and the better action.
 
-    Args:
-        text: right, wrong, skip, an action of Table 1, or m: the intent model's suggestion.
-        action: what was asked about.
-        continuous: whether the model's suggestion is one of the actions.
+    It is right, wrong, skip, an action of Table 1 or, where actions are continuous, m: the intent model's suggestion.
 
     Raises:
         BadInputError: the text is none of these.
@@ -92,13 +89,9 @@ def parse_answer(text: str, action: int, *, continuous: bool = False) -> tuple[b
 def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, *, drop_later: bool) -> Record:
     """Change an answer of a journal by a new line in it, and return the answer as it is now.
 
-    Args:
-        path: the journal.
-        number: of the answer.
-        text: the new answer, as :func:`parse_answer` reads it.
-        teacher: who changes it; None for :data:`UNNAMED`.
-        learned: how many answers the run in the journal's folder has learned from.
-        drop_later: whether all later answers no longer count.
+    The text is the new answer as :func:`parse_answer` reads it, the teacher who changes it or None for
+    :data:`UNNAMED`. The run in the journal's folder has learned from the first ``learned`` answers. With ``drop_later``
+    all later ones no longer count.
 
     Raises:
         BadInputError: the journal is damaged or cannot be written, or has no such answer that stands.

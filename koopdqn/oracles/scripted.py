@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
-from koopdqn.pose import Array
 from koopdqn.settings import Fraction
 from koopdqn.tasks.actions import within_tolerance
 from koopdqn.tasks.task import Task, demonstrator_next_poses
@@ -36,22 +35,8 @@ class ScriptedOracle(Oracle):
 
     def answer(self, question: Question) -> Answer:
         """Return the demonstrator's answer."""
-        right = demonstrator_agrees(self.task, question.pose[None], question.reached[None], question.start[None])[0]
-        return Answer(bool(right), self.name)
-
-
-def demonstrator_agrees(task: Task, poses: Array, reached: Array, starts: Array | None = None) -> np.ndarray:
-    """Return whether the demonstrator finds each reached pose (N, 7) right from each pose (N, 7), as booleans (N,).
-
-    Args:
-        task: whose demonstrator.
-        poses: before the actions.
-        reached: after them.
-        starts: (N, 7) where the episodes began; None where poses are told as from the nominal start.
-    """
-    if starts is None:
-        return within_tolerance(reached, task.demonstrator.next_pose(poses), task)
-    return within_tolerance(reached, demonstrator_next_poses(task, poses, starts), task)
+        wished = demonstrator_next_poses(self.task, question.pose[None], question.start[None])
+        return Answer(bool(within_tolerance(question.reached[None], wished, self.task)[0]), self.name)
 
 
 _STREAM = 4

@@ -1,4 +1,4 @@
-"""The pictures of each command: one module a picture, all in one style."""
+"""The pictures of each command: all in one style."""
 
 import os
 

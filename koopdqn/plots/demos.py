@@ -1,4 +1,4 @@
-"""The picture of ``koopdqn demo``: the demonstrated paths in the scene, and in figures."""
+"""The pictures of ``koopdqn demo`` and ``koopdqn inspect``: demonstrations in the scene, in figures, as recorded."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.schema import InspectedDemonstration
 from koopdqn.paths import arc_lengths
 from koopdqn.plots import style
 from koopdqn.pose import Array
@@ -16,19 +17,17 @@ from koopdqn.robot.render import Image
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1080
+INSPECTED_SIZE = 1560, 960
+"""Width and height of the picture of an inspection [pixels]."""
 _WITHOUT_VARIATION: Final[dict[str, Any]] = {"color": style.MEANT, "linestyle": ":", "linewidth": 1.4}
 _SPEED_WINDOW_S = 0.1
 
 
 def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, image: Image | None) -> None:
-    """Draw demonstrations into a PNG.
+    """Draw demonstrations of a task into a PNG.
 
-    Args:
-        path: the file.
-        demonstrations: what was shown.
-        task: gives the path without variation, the start region and the goal.
-        image: the scene with the paths in it, in the colours of :func:`koopdqn.plots.style.series_colours`; None
-            leaves its panel out.
+    ``image`` shows them in the scene, in the colours of :func:`koopdqn.plots.style.series_colours`; None leaves its
+    panel out.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -81,8 +80,7 @@ def _components(axes: Sequence[Axes], demonstrations: Demonstrations, task: Task
     axes[0].set_title("Flange along the path")
     axes[3].set_ylabel("turn left to goal [°]" if learned else "speed [m/s]")
     axes[3].set_ylim(bottom=0.0)
-    axes[3].set_xlabel("share of the path travelled [%]")
-    axes[3].set_xlim(0, 100)
+    axes[3].set(xlabel="share of the path travelled [%]", xlim=(0, 100))
     # Within a panel it would lie on the paths, which fill it.
     axes[3].legend(*axes[0].get_legend_handles_labels(), loc="upper center", bbox_to_anchor=(0.5, -0.35), ncols=3)
 
@@ -100,3 +98,87 @@ def _speed(item: Demonstration) -> Array:
     after = np.clip(item.times + _SPEED_WINDOW_S / 2, item.times[0], item.times[-1])
     moved = np.interp(after, item.times, arc) - np.interp(before, item.times, arc)
     return np.asarray(moved / (after - before))
+
+
+_PLACES: Final = (0, 25, 50, 75, 100)
+"""Shares of a path at which the spread is known [%]."""
+
+
+def plot_inspection(
+    path: Path,
+    raw: Sequence[Demonstration],
+    cleaned: Sequence[Demonstration],
+    each: Sequence[InspectedDemonstration],
+    spread_mm: Sequence[float],
+    left_out_mm: Sequence[float],
+    arm: str,
+) -> None:
+    """Draw what an inspection found of each demonstration into a PNG: as recorded, pale, and after the steps.
+
+    ``spread_mm`` (5,) is the spread along the path, ``left_out_mm`` the distance of one left out from the mean of
+    1, 2, … others; both are empty for a single demonstration.
+
+    Raises:
+        BadInputError: the file cannot be written.
+    """
+    colours = style.series_colours(len(cleaned))
+    count = f"{len(cleaned)} demonstration{'s' if len(cleaned) != 1 else ''}"
+    with style.picture(path, f"{count}, inspected for {arm} (o: start; pale: as recorded)", *INSPECTED_SIZE) as figure:
+        grid = figure.add_gridspec(2, 3)
+        planes = style.two_planes([item.poses[:, pose.POSITION] for item in cleaned])
+        for row, plane in enumerate(planes):
+            axes = figure.add_subplot(grid[row, 0])
+            _paths(axes, plane, raw, cleaned, colours)
+        turns, speeds = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+        for item, colour in zip(cleaned, colours, strict=True):
+            time = item.times - item.times[0]
+            turns.plot(time, np.degrees(pose.rotation_distance(item.poses, item.poses[-1])), color=colour)
+            way = arc_lengths(item.poses[:, pose.POSITION])
+            speeds.plot(time[1:], np.diff(way) / np.diff(time), color=colour)
+        turns.set(title="Turn left to its end", ylabel="[°]", xlabel="time [s]")
+        speeds.set(title="Speed of the flange", ylabel="[m/s]", xlabel="time [s]")
+        _shares(figure.add_subplot(grid[0, 2]), each, colours)
+        _learning(figure.add_subplot(grid[1, 2]), spread_mm, left_out_mm)
+
+
+def _paths(
+    axes: Axes, plane: str, raw: Sequence[Demonstration], cleaned: Sequence[Demonstration], colours: Sequence[str]
+) -> None:
+    for before, after, colour in zip(raw, cleaned, colours, strict=True):
+        axes.plot(*style.project(before.poses[:, pose.POSITION], plane), ".", color=style.PALE, markersize=4)
+        x, y = style.project(after.poses[:, pose.POSITION], plane)
+        axes.plot(x, y, color=colour)
+        axes.plot(x[:1], y[:1], "o", color=colour)
+    axes.set(title=f"From {style.VIEWS[plane]}", xlabel="[m]", ylabel="[m]")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+def _shares(axes: Axes, each: Sequence[InspectedDemonstration], colours: Sequence[str]) -> None:
+    places = np.arange(len(each))
+    axes.bar(places - 0.2, [100.0 * one.reached for one in each], 0.4, color=style.GREEN, label="way followed")
+    speeds = [100.0 * (one.joint_speed or 0.0) for one in each]
+    axes.bar(places + 0.2, speeds, 0.4, color=style.ORANGE, label="joint speed, of its limit")
+    axes.axhline(100.0, color=style.INK, linestyle=":")
+    axes.set(title="On the arm", ylabel="[%]", xlabel="demonstration")
+    axes.set_xticks(places)
+    for tick, colour in zip(axes.get_xticklabels(), colours, strict=True):
+        tick.set_color(colour)
+    axes.set_ylim(0.0, 1.35 * max(100.0, *speeds))
+    axes.legend(loc="upper left", ncols=2)
+
+
+def _learning(axes: Axes, spread_mm: Sequence[float], left_out_mm: Sequence[float]) -> None:
+    axes.set_title("Beside one another")
+    if not left_out_mm:
+        style.note(axes, "one alone", style.GREY)
+        axes.set_axis_off()
+        return
+    axes.plot(np.arange(1, len(left_out_mm) + 1), left_out_mm, "o-", color=style.BLUE, label="one left out of n + 1")
+    axes.set(xlabel="n", ylabel="[mm]")
+    axes.set_ylim(0.0, 1.1 * max(*left_out_mm, *spread_mm))
+    second = axes.twiny()
+    second.plot(_PLACES, spread_mm, "s--", color=style.PINK, label="spread along the path")
+    second.set_xlabel("share of the path [%]")
+    second.grid(visible=False)
+    lines = [*axes.get_lines(), *second.get_lines()]
+    axes.legend(lines, [str(line.get_label()) for line in lines], loc="best")

@@ -28,14 +28,9 @@ _POLICY = "policy"
 def plot_evaluation(
     path: Path, evaluation: Evaluation, demonstrations: Demonstrations, task: Task, image: Image | None
 ) -> None:
-    """Draw an evaluation into a PNG.
+    """Draw an evaluation of a policy that was taught from demonstrations into a PNG.
 
-    Args:
-        path: the file.
-        evaluation: the finished evaluation.
-        demonstrations: what the policy was taught from.
-        task: gives the start region and the goal.
-        image: the scene with learned paths in it; None leaves its panel out.
+    ``image`` shows learned paths in the scene; None leaves its panel out.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -71,14 +66,11 @@ def plot_evaluation(
 def _deviation(axes: Axes, evaluation: Evaluation, aside: bool) -> None:
     """Draw the distance from the references over the path's share: median and spread over episodes."""
     moved = [(e.poses, r) for e, r in zip(evaluation.compared, evaluation.references, strict=True) if e.steps]
-    axes.set_xlabel("share of the path travelled [%]")
-    axes.set_ylabel("deviation [mm]")
+    axes.set(xlabel="share of the path travelled [%]", ylabel="deviation [mm]")
     title = "Deviation from held-out demonstrations" if aside else "Deviation from the demonstrator's own path"
-    axes.set_title(f"{title}, same start")
-    axes.set_xlim(0, 100)
+    axes.set(title=f"{title}, same start", xlim=(0, 100))
     if not moved:
-        why = "no episode made a step" if evaluation.compared else "no demonstration is held out"
-        axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", color=style.RED)
+        style.note(axes, "no episode made a step" if evaluation.compared else "no demonstration is held out")
         return
     apart = deviations([path for path, _ in moved], [reference for _, reference in moved])
     share = np.linspace(0, 100, SAMPLES)
@@ -154,9 +146,7 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
             distance.plot(worst, row, marker="|", markersize=9, markeredgewidth=2, color=style.INK)
         _value(distance, reach, row, f"{mean:.1f}")
     distance.tick_params(labelleft=False)
-    distance.set_xlim(0, 1.35 * longest)
-    distance.set_xlabel("mean, | 95 % of maxima [mm]")
-    distance.set_title("Path deviation")
+    distance.set(xlim=(0, 1.35 * longest), xlabel="mean, | 95 % of maxima [mm]", title="Path deviation")
     for axes in (success, distance):
         axes.grid(False, axis="y")
 

@@ -46,16 +46,10 @@ def plot_explanation(
     reference: Array | None,
     demonstrated: Sequence[Array],
 ) -> None:
-    """Draw an explained state into a PNG.
+    """Draw a state that the content of an ``explain.json`` explains into a PNG.
 
-    Args:
-        path: the file.
-        title: above everything.
-        task: gives start region, goal and step.
-        content: of ``explain.json``.
-        learned: positions (T, 3) [m] of the policy's path; None where the state is on none.
-        reference: positions (R, 3) [m] that it is compared with; None where there is none.
-        demonstrated: positions (N, 3) [m] of each demonstration.
+    Beside it the policy's path (T, 3) [m], None where the state is on none, the reference (R, 3) [m] that this is
+    compared with, if there is one, and demonstrated positions (N, 3) [m].
 
     Raises:
         BadInputError: the file cannot be written.
@@ -111,21 +105,17 @@ def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> 
     wished = np.array(content["predicted"])[None, POSITION]
     axes.plot(*style.project(wished, plane), **_PREDICTED)
     axes.plot(x, y, **_STATE)
-    axes.set_xlim(x - around, x + around)
-    axes.set_ylim(y - around, y + around)
+    axes.set(xlim=(x - around, x + around), ylim=(y - around, y + around))
     axes.set_aspect("equal")
     axes.locator_params(nbins=5)
     axes.set_title(f"From {style.VIEWS[plane]}, near the state")
     i, j = style.PLANES[plane]
-    axes.set_xlabel(f"{'xyz'[i]} [m]")
-    axes.set_ylabel(f"{'xyz'[j]} [m]")
+    axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
 
 
 def _entries(*, on_path: bool) -> dict[str, tuple[Line2D | Patch, ...]]:
     """Return what stands for each name of the legend: its look in the views, and in the bars where it has one."""
-    entries: dict[str, tuple[Line2D | Patch, ...]] = {
-        "demonstrated": (Line2D([], [], color=style.DEMONSTRATED),),
-    }
+    entries: dict[str, tuple[Line2D | Patch, ...]] = {"demonstrated": (Line2D([], [], color=style.DEMONSTRATED),)}
     if on_path:
         entries["learned"] = (Line2D([], [], color=style.LEARNED, linewidth=2),)
         entries["compared with"] = (Line2D([], [], color=style.MEANT, linestyle="--"),)
@@ -165,7 +155,6 @@ def _values(axes: Axes, actions: Sequence[dict[str, Any]]) -> None:
         axes.text(base + 0.03 * (high - base), place, text, va="center", color=style.INK, fontsize=8, bbox=room)
     axes.set_yticks(places, [f"{action['number']} {action['name']}" for action in actions])
     axes.invert_yaxis()
-    axes.set_xlim(base, high + 0.05 * max(high - low, 1e-6))
-    axes.set_xlabel("Q")
+    axes.set(xlim=(base, high + 0.05 * max(high - low, 1e-6)), xlabel="Q")
     axes.set_title("Value Q; reward and where it comes from")
     axes.grid(axis="y", visible=False)

@@ -26,13 +26,7 @@ _OUTSIDE = 5e-5
 
 
 def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: Task) -> None:
-    """Draw a fitted intent into a PNG.
-
-    Args:
-        path: the file.
-        fitted: the intent with its report.
-        demonstrations: what it was fitted to.
-        task: gives step, tolerances, start region and goal.
+    """Draw an intent fitted to demonstrations of a task into a PNG.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -85,13 +79,8 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
 def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: float, room: float) -> None:
     """Draw mean and largest error per step, the compare tolerance and what the paper reports.
 
-    Args:
-        axes: to draw on.
-        fitted: gives the errors.
-        kind: "m" or "rad".
-        scale: of these in what is shown, millimetres or degrees.
-        tolerance: to compare poses [m or rad].
-        room: the vertical axis reaches this many times higher than what is drawn, for the legend.
+    Errors and tolerance are of a kind, "m" or "rad", and shown in millimetres or degrees by a scale. The vertical axis
+    reaches ``room`` times higher than what is drawn, for the legend.
     """
     unit = {"m": "mm", "rad": "°"}[kind]
     lines = [(tolerance * scale, style.INK, "--", "compare tolerance")]
@@ -108,8 +97,7 @@ def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: floa
     axes.set_xlim(0, len(mean))
     # The worst few errors are cut off rather than flattening the rest.
     axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), max(line[0] for line in lines)))
-    axes.set_xlabel("step of the demonstration")
-    axes.set_ylabel(f"one-step error [{unit}]")
+    axes.set(xlabel="step of the demonstration", ylabel=f"one-step error [{unit}]")
     handles, labels = axes.get_legend_handles_labels()
     # In the panel of turns only what the panel above it does not say.
     first = 0 if kind == "m" else -len(lines)
@@ -151,8 +139,7 @@ def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
     axes.set_xlim(-1.15 * reach, 1.15 * reach, auto=True)
     axes.set_ylim(-1.15 * reach, 1.15 * reach, auto=True)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("real part")
-    axes.set_ylabel("imaginary part")
+    axes.set(xlabel="real part", ylabel="imaginary part")
     axes.set_title("Eigenvalues of K" if len(matrices) == 1 else "Eigenvalues of K_p and K_o")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.06))
 

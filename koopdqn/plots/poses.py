@@ -40,14 +40,7 @@ _TOOL_M: Final = np.array([[0, 0, 0.4], [0, 0, -0.12], [0.1, 0, 0], [-0.1, 0, 0]
 
 
 def plot_poses(path: Path, scene: Scene, item: Demonstration, view: View, title: str) -> None:
-    """Draw the arm at the goal, its earlier poses as ghosts, with the flange's axes in each and the path.
-
-    Args:
-        path: the PNG.
-        scene: the arm and what stands around it.
-        item: a demonstration with joint angles.
-        view: from where.
-        title: above everything.
+    """Draw the arm at a demonstration's goal, its earlier poses as ghosts, with the flange's axes in each and the path.
 
     Raises:
         BadInputError: the demonstration has no joint angles, or the file cannot be written.

@@ -23,13 +23,7 @@ _NAMES: Final = {
 
 
 def plot_program(path: Path, title: str, program: Program, scene: Scene) -> None:
-    """Draw a program; where OpenGL does not work the arm is left out, with a warning.
-
-    Args:
-        path: the PNG.
-        title: above everything.
-        program: what is drawn.
-        scene: arm and surroundings of the program's task.
+    """Draw a program into a PNG; where OpenGL does not work the arm is left out, with a warning.
 
     Raises:
         BadInputError: the file cannot be written.

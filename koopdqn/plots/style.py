@@ -83,11 +83,7 @@ def picture(path: Path, title: str, width: int, height: int) -> Iterator[Figure]
     The user's own matplotlib settings play no part, and no date or version is written, so that the same
     content gives the same bytes.
 
-    Args:
-        path: the file.
-        title: above everything.
-        width: of the picture [pixels].
-        height: of the picture [pixels].
+    Width and height are in pixels.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -112,6 +108,11 @@ def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]
     """Return a colour as red, green, blue, opacity, each 0…1, as :mod:`koopdqn.robot.render` takes it."""
     red, green, blue = to_rgb(colour)
     return red, green, blue, opacity
+
+
+def note(axes: Axes, text: str, colour: str = RED) -> None:
+    """Write a text in the middle of axes that have nothing to show."""
+    axes.text(0.5, 0.5, text, ha="center", va="center", color=colour, transform=axes.transAxes)
 
 
 def show_image(axes: Axes, image: Image, title: str) -> None:
@@ -151,13 +152,9 @@ def two_digits(value: float) -> str:
 
 
 def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Array]) -> None:
-    """Set up a projection: labels, start region, goal, equal scales, limits around positions (N, 3) [m] and both.
+    """Set up a projection, a key of :data:`PLANES`: labels, start region, goal, equal scales and limits.
 
-    Args:
-        axes: to draw on.
-        plane: a key of :data:`PLANES`.
-        task: gives start region and goal.
-        positions: what must be inside the limits; nothing else widens them.
+    Positions (N, 3) [m], start region and goal lie inside the limits; nothing else widens them.
     """
     i, j = PLANES[plane]
     center, half = task.nominal_start[pose.POSITION], np.array(task.start_half_range_m)
@@ -180,8 +177,7 @@ def frame_projection(axes: Axes, plane: str, task: Task, positions: Sequence[Arr
     axes.set_xlim(low[0], high[0], auto=True)
     axes.set_ylim(low[1], high[1], auto=True)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{'xyz'[i]} [m]")
-    axes.set_ylabel(f"{'xyz'[j]} [m]")
+    axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
 
 
 def project(positions: Array, plane: str) -> tuple[Array, Array]:
@@ -199,12 +195,8 @@ def draw_motion(
 ) -> Image:
     """Return a picture (height, width, 3) of the arm at a motion's end, its start as a ghost, and of paths beside it.
 
-    Args:
-        scene: the arm and what stands around it.
-        joints: joint angles (N, 6) [rad] along the motion.
-        paths: flange positions (T, 3) [m] to draw.
-        colours: of the paths; None takes those of :func:`series_colours`.
-        size: width and height [pixels].
+    Joint angles (N, 6) are in rad, the paths' positions (T, 3) in m, width and height in pixels. The paths have those
+    colours, or by default :func:`series_colours`.
 
     Raises:
         WorkFailedError: OpenGL does not work here.

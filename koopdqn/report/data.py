@@ -19,7 +19,6 @@ from koopdqn.intent.validation import sizes_of
 from koopdqn.pose import Array
 from koopdqn.report.runs import PAPER, Run
 from koopdqn.robot.scene import Scene
-from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import open_workcell
 
@@ -122,11 +121,7 @@ def gather(run: Run, intents: Intents, folder: Path, advance: Callable[[], None]
 
     The run's own intent and trust domain take the place of those given, so that figures show what it learned from.
 
-    Args:
-        run: whose demonstrations are drawn.
-        intents: what is fitted to them.
-        folder: of the report.
-        advance: called after every fit.
+    ``advance`` is called after every fit.
 
     Raises:
         BadInputError: the demonstrations are damaged, or do not allow a fit.
@@ -134,23 +129,18 @@ def gather(run: Run, intents: Intents, folder: Path, advance: Callable[[], None]
     demonstrations = read_hdf5(run.demonstrations_file)
     if len(demonstrations) < 2:
         raise BadInputError(f"{run.demonstrations_file} must hold at least 2 demonstrations, found 1")
-    try:
-        own = load_settings(run.about["intent"], IntentSettings, "intent")
-        trust = load_settings(run.about["trust"], TrustSettings, "trust")
-        reward = load_settings(run.about["reward"], RewardSettings, "reward")
-    except BadInputError as error:
-        raise BadInputError(f"run {run.folder} must have an intent of this release, found: {error}") from error
     found = {}
-    for name, (settings, its_trust, its_reward) in intents.items():
+    for name, (settings, trust, reward) in intents.items():
         # Another intent than the paper's is trusted as the run's own, unless the run is the paper's.
-        ours = own.name == name or PAPER not in (name, own.name)
+        own = run.intent.name == name
+        ours = own or PAPER not in (name, run.intent.name)
         file = folder / "fits" / f"{run.task.name}-{name}.json"
         found[name] = held_out(
             demonstrations,
             run.task,
-            own if own.name == name else settings,
-            trust if ours else its_trust,
-            reward if ours else its_reward,
+            run.intent if own else settings,
+            run.trust if ours else trust,
+            run.reward if ours else reward,
             file,
         )
         write_json(file, found[name].content)

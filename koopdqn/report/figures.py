@@ -9,10 +9,8 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
-from koopdqn.plots import poses, prediction
-from koopdqn.plots.seeds import plot_rewards
-from koopdqn.plots.steps import half_turn, plot_components, plot_turn, spans
-from koopdqn.plots.train import WINDOW
+from koopdqn.plots import poses, steps
+from koopdqn.plots.train import WINDOW, plot_rewards
 from koopdqn.plots.workflow import plot_workflow
 from koopdqn.report.data import SHOWN, Material
 from koopdqn.report.runs import DEFAULT, Run
@@ -74,7 +72,7 @@ def shelf_components(material: Material, folder: Path) -> Figure:
     """Draw Fig. 3."""
     trajectories, task = material.trajectories, material.run.task
     for first, what in ((0, "position"), (3, "orientation")):
-        plot_components(folder / f"figure-3-{what}.png", trajectories, task, first, material.sigmas)
+        steps.plot_components(folder / f"figure-3-{what}.png", trajectories, task, first, material.sigmas)
     caption = (
         f"All {len(trajectories)} demonstrations, aligned by the share of their path and resampled to the agent's step:"
         f" mean, samples, and the band of {material.sigmas:g} standard deviations; the trust domain adds floors to"
@@ -88,7 +86,7 @@ def shelf_errors(material: Material, folder: Path) -> Figure:
     """Draw Fig. 4, left."""
     errors, tolerance = _errors(material, 0, _MM), _MM * material.run.task.position_tolerance_m
     title = "Shelf: Koopman error per step"
-    prediction.plot_errors(folder / "figure-4-left.png", title, errors, "mm", tolerance, bounds=True)
+    steps.plot_errors(folder / "figure-4-left.png", title, errors, "mm", tolerance, bounds=True)
     caption = (
         f"One-step error of position (Eq. 15) on demonstration {SHOWN}, predicted by models fitted to the others."
         " Shaded: steps outside the trust domain drawn from the others, or where too few rewards are right, so that the"
@@ -99,30 +97,30 @@ def shelf_errors(material: Material, folder: Path) -> Figure:
     return Figure("4, left", "Koopman error, shelf", caption, ["figure-4-left.png"], _fits(material), "half")
 
 
-def _errors(material: Material, column: int, scale: float) -> dict[str, prediction.Errors]:
+def _errors(material: Material, column: int, scale: float) -> dict[str, steps.Errors]:
     """Return the errors of the drawn intents, of position (``column`` 0) or orientation (1), scaled."""
     drawn = {}
-    for name in prediction.NAMES:
+    for name in steps.NAMES:
         found = material.intents[name]
         raw, rescaled, sixty = (scale * rows[:, column] for rows in (found.error, found.rescaled, found.sixty))
         compared = column == 0 and found.reward.prediction == "rescaled"
-        drawn[name] = prediction.Errors(raw, rescaled if compared else None, found.asked, sixty)
+        drawn[name] = steps.Errors(raw, rescaled if compared else None, found.asked, sixty)
     return drawn
 
 
 def _fits(material: Material) -> list[Path]:
-    return [material.intents[name].file for name in prediction.NAMES]
+    return [material.intents[name].file for name in steps.NAMES]
 
 
 def line_fit(material: Material, folder: Path) -> Figure:
     """Draw Fig. 5."""
     positions = material.trajectories[SHOWN][:, pose.POSITION]
     errors = {name: found.raw for name, found in _errors(material, 0, _MM).items()}
-    prediction.plot_line_fit(folder / "figure-5-left.png", positions)
-    prediction.plot_line_error(folder / "figure-5-right.png", positions, errors)
+    steps.plot_line_fit(folder / "figure-5-left.png", positions)
+    steps.plot_line_error(folder / "figure-5-right.png", positions, errors)
     caption = (
         f"Left: a least-squares line in time through demonstration {SHOWN}. Right: its distance from the line at each"
-        f" step, at most {_MM * prediction.line_distance(positions).max():.0f} mm, beside the one-step errors of both"
+        f" step, at most {_MM * steps.line_distance(positions).max():.0f} mm, beside the one-step errors of both"
         " lifts on the same demonstration, which they have not seen. As in the paper, one is a distance from a fit and"
         " the others are predictions one step ahead; the table of intents compares predictions alone."
     )
@@ -151,8 +149,8 @@ def knife_turn(material: Material, folder: Path) -> Figure:
     if not isinstance(task, KnifeTask):
         found = type(task).__name__
         raise BadInputError(f"task {task.name} must be a KnifeTask to draw the blade's turn, found {found}")
-    plot_turn(folder / "figure-6-right.png", material.trajectories, task, SHOWN)
-    gone = [half_turn(trajectory, task)[1] for trajectory in material.trajectories]
+    steps.plot_turn(folder / "figure-6-right.png", material.trajectories, task, SHOWN)
+    gone = [steps.half_turn(trajectory, task)[1] for trajectory in material.trajectories]
     caption = (
         "Distances to the goal (Eqs. 15, 16) and the edge's angle to straight down. The turn is done earlier than the"
         f" way: when half the turn is done, {min(gone):.0%} to {max(gone):.0%} of the position distance is gone."
@@ -164,8 +162,8 @@ def knife_turn(material: Material, folder: Path) -> Figure:
 def knife_positions(material: Material, folder: Path) -> Figure:
     """Draw Fig. 7."""
     trajectories, task = material.trajectories, material.run.task
-    plot_components(folder / "figure-7.png", trajectories, task, 0, material.sigmas)
-    found = list(spans(trajectories, task).items())[:3]
+    steps.plot_components(folder / "figure-7.png", trajectories, task, 0, material.sigmas)
+    found = list(steps.spans(trajectories, task).items())[:3]
     caption = f"As Figure 3. Spans: {', '.join(f'{name} {low:.3f} to {high:.3f} m' for name, (low, high) in found)}."
     title, files = "Span of the position components, knife", ["figure-7.png"]
     return Figure("7", title, caption, files, [material.run.demonstrations_file], "half")
@@ -174,8 +172,8 @@ def knife_positions(material: Material, folder: Path) -> Figure:
 def knife_orientations(material: Material, folder: Path) -> Figure:
     """Draw Fig. 8."""
     trajectories, task = material.trajectories, material.run.task
-    plot_components(folder / "figure-8.png", trajectories, task, 3, material.sigmas)
-    found = list(spans(trajectories, task).items())[3:]
+    steps.plot_components(folder / "figure-8.png", trajectories, task, 3, material.sigmas)
+    found = list(steps.spans(trajectories, task).items())[3:]
     caption = (
         "As Figure 3. Roll, pitch and yaw are taken in a frame of the task in which the turn is roll and the angles"
         " stay away from their singularity and from ±180°. Spans:"
@@ -189,9 +187,9 @@ def knife_errors(material: Material, folder: Path) -> Figure:
     """Draw Fig. 9, left."""
     errors, tolerance = _errors(material, 1, _DEGREES), _DEGREES * material.run.task.rotation_tolerance_rad
     title = "Knife: orientation error per step"
-    prediction.plot_errors(folder / "figure-9-left.png", title, errors, "°", tolerance, bounds=False)
+    steps.plot_errors(folder / "figure-9-left.png", title, errors, "°", tolerance, bounds=False)
     moved = _errors(material, 0, _MM)
-    paper, default = (f"{errors[name].raw.max():.2f}° and {moved[name].raw.max():.2f} mm" for name in prediction.NAMES)
+    paper, default = (f"{errors[name].raw.max():.2f}° and {moved[name].raw.max():.2f} mm" for name in steps.NAMES)
     caption = (
         f"One-step error of orientation (Eq. 16) on demonstration {SHOWN}, predicted by models fitted to the others;"
         f" shaded as in Figure 4. Largest at the agent's step, orientation and position: {paper} by the paper's lift,"

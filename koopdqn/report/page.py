@@ -38,11 +38,8 @@ class Section(NamedTuple):
 def render(title: str, sections: Sequence[Section], folder: Path, **opening: Any) -> str:
     """Return the page as HTML text; what stands between backticks in a text is shown as code.
 
-    Args:
-        title: of the page.
-        sections: what follows the table of contents.
-        folder: where the page will lie, beside the PNGs; links to files are relative to it.
-        opening: what its opening tells of: ``sweep``, or ``groups`` and ``missing``.
+    It will lie in the folder, beside the PNGs, and links to files are relative to that. Its opening tells of a
+    ``sweep``, or of ``groups`` and what is ``missing``.
     """
 
     def code(text: str) -> Markup:
@@ -83,7 +80,7 @@ def build(
         presets: both presets for both tasks.
         intents: what is fitted to the demonstrations, by task.
         left_out: runs that were found and are not shown.
-        ablations: the file of ablations, which need not exist.
+        ablations: their file, which need not exist.
         folder: where everything goes.
         advance: called after every unit of work.
 

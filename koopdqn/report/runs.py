@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 from koopdqn.artifact import read_artifact, reading
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
+from koopdqn.evaluation.results import EVALUATION, POLICY, TRAINING, find_evaluations, newest_evaluation, read_report
 from koopdqn.files import digest
 from koopdqn.intent.bend import CORRECTED
 from koopdqn.intent.model import IntentSettings
@@ -21,7 +21,6 @@ from koopdqn.run_folder import check_plain
 from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 
-POLICY: Final = "policy.safetensors"
 DEMONSTRATIONS: Final = "demos.hdf5"
 ABLATIONS: Final = "ablations"
 """Name of the folder below ``runs/`` whose runs are shown in a table of their own."""
@@ -49,6 +48,9 @@ class Run:
         about: the metadata of its policy: the config that shaped it.
         task: the task it learned.
         arm: the arm it learned with.
+        intent: how its intent was fitted.
+        trust: where that was trusted.
+        reward: how rewards were made.
         evaluation_file: the newest evaluation of it, or None.
         evaluation: the content of that file, or None.
     """
@@ -58,6 +60,9 @@ class Run:
     about: Mapping[str, Any]
     task: Task
     arm: Arm
+    intent: IntentSettings
+    trust: TrustSettings
+    reward: RewardSettings
     evaluation_file: Path | None = None
     evaluation: Mapping[str, Any] | None = None
 
@@ -90,10 +95,7 @@ def configuration_key(about: Mapping[str, Any]) -> str:
 def find_runs(folders: Sequence[Path], elsewhere: Sequence[Path] = ()) -> tuple[list[Run], list[LeftOut]]:
     """Return the finished runs below folders, and what looks like one but cannot be used.
 
-    Args:
-        folders: searched for training runs and for evaluations; what lies below a folder named
-            ``ablations`` or ``study`` is left out.
-        elsewhere: searched for evaluations only.
+    What lies below a folder named ``ablations`` or ``study`` is left out; evaluations may lie ``elsewhere`` as well.
 
     Raises:
         BadInputError: one of ``folders`` does not exist.
@@ -137,12 +139,16 @@ def _read(folder: Path) -> Run:
     if CORRECTED in policy.arrays:
         raise BadInputError(f"run {folder} must be as it was trained, found it corrected by hand")
     with reading(f"policy {folder / POLICY}"):
-        task = load_settings(about["task"], Task, "task")
-        arm = load_settings(about["robot"], Arm, "robot")
-        # The figures need them later.
-        for name, settings in (("intent", IntentSettings), ("trust", TrustSettings), ("reward", RewardSettings)):
-            load_settings(about[name], settings, name)
-        return Run(folder, train, about, task, arm)
+        return Run(
+            folder,
+            train,
+            about,
+            load_settings(about["task"], Task, "task"),
+            load_settings(about["robot"], Arm, "robot"),
+            load_settings(about["intent"], IntentSettings, "intent"),
+            load_settings(about["trust"], TrustSettings, "trust"),
+            load_settings(about["reward"], RewardSettings, "reward"),
+        )
 
 
 class Preset(NamedTuple):

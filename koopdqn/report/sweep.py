@@ -9,7 +9,7 @@ from typing import Any, Final
 from koopdqn.console import counted
 from koopdqn.evaluation.results import QUANTITIES, TRAINING, SweptRun, Variant, known, variants
 from koopdqn.files import write_json, write_text
-from koopdqn.plots.seeds import plot_sweep
+from koopdqn.plots.train import plot_sweep
 from koopdqn.report.figures import Figure
 from koopdqn.report.page import PAGE, Block, Section, render
 from koopdqn.report.schema import LeftOut, SweepFile
@@ -28,12 +28,9 @@ Found = Sequence[tuple[Variant, Sequence[SweptRun]]]
 
 
 def build(sweep: Path, runs: Sequence[SweptRun], folder: Path) -> dict[str, Any]:
-    """Write ``report.html``, ``sweep.json``, ``sweep.csv`` and ``sweep.png`` and return the content of the JSON.
+    """Write what the runs of a sweep's folder come to into another folder, and return the content of the JSON.
 
-    Args:
-        sweep: the folder that was searched.
-        runs: what was found there.
-        folder: where everything goes.
+    The files are ``report.html``, ``sweep.json``, ``sweep.csv`` and ``sweep.png``.
 
     Raises:
         BadInputError: a file cannot be written.

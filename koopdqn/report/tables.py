@@ -315,9 +315,7 @@ def ablations(file: Path) -> Table | MissingPart:
         rule = "must hold one row a run as `make ablations` writes them"
         raise BadInputError(f"{file} {rule}, found: {error!r}") from error
     return Table(
-        "Ablations",
-        ("case, variant", "changed", "seeds learned", *(quantity.name for quantity in _ABLATED)),
-        rows,
+        "Ablations", ("case, variant", "changed", "seeds learned", *(quantity.name for quantity in _ABLATED)), rows
     )
 
 
@@ -330,11 +328,7 @@ def shown_runs(groups: Groups) -> Table:
             folder, seed, outcome = (Cell(str(text), [run.train_file]) for text in (run.folder, run.seed, learned))
             counts = [Cell(f"{content['episodes']} starts", [file]) for file, content in _measured([run])]
             rows.append((folder, Cell(task), Cell(preset), seed, outcome, *(counts or [Cell("no")])))
-    return Table(
-        "Runs that this page shows",
-        ("folder", "task", "preset", "seed", "learned", "evaluated on"),
-        rows,
-    )
+    return Table("Runs that this page shows", ("folder", "task", "preset", "seed", "learned", "evaluated on"), rows)
 
 
 def left_out(title: str, items: Sequence[LeftOut]) -> Table:

@@ -83,14 +83,10 @@ class ActorCritic(Networks):
     settings: ActorCriticSettings
 
     def __init__(self, inputs: int, tolerances: Array, settings: ActorCriticSettings, rng: np.random.Generator) -> None:
-        """Make the networks, with weights drawn from ``rng``.
+        """Make the networks for observations of ``inputs`` values, with weights drawn from ``rng``.
 
-        Args:
-            inputs: number of observed values.
-            tolerances: (3,) or (6,) of the comparison, as :func:`koopdqn.tasks.actions.tolerances` gives them; critics
-                see twists in these, and noise is told in them.
-            settings: of the agent.
-            rng: draws the weights.
+        Critics see twists in the tolerances (3,) or (6,) of :func:`koopdqn.tasks.actions.tolerances`, and noise is told
+        in them.
         """
         self.settings = settings
         twist = len(tolerances)
@@ -194,9 +190,7 @@ class ActorCritic(Networks):
 def best_actions(batch: Batch, state_of: np.ndarray) -> tuple[NDArray[np.float32], np.ndarray]:
     """Return the right action (B, 3 or 6) of greatest reward in each state, and whether (B,) the state has a right one.
 
-    Args:
-        batch: transitions, those of a state adjacent.
-        state_of: (N,) the state of each, from 0.
+    Of a batch's transitions those of a state are adjacent; ``state_of`` (N,) numbers their states from 0.
     """
     assert batch.twists is not None, "transitions of continuous actions"
     order = np.lexsort((batch.rewards, state_of))

@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 import torch
 
+from koopdqn.artifact import below
 from koopdqn.intent.reward import ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Oracle
 from koopdqn.pose import Array
 from koopdqn.rl.actor_critic import ActorCritic
 from koopdqn.rl.answers import FeedbackSettings
-from koopdqn.rl.checks import Checker, Progress
-from koopdqn.rl.dqn import Learner, below, load_arrays
-from koopdqn.rl.history import Check, History
+from koopdqn.rl.checks import Check, Checker, History, Progress
+from koopdqn.rl.dqn import Learner, load_arrays
 from koopdqn.rl.human_reward import Budget, Feedback
-from koopdqn.rl.labelling import LabelAllKnown, LabelChosen, Labelling, Motions
+from koopdqn.rl.labelling import Choice, Motions, choice_among_known, label_known
 from koopdqn.rl.network import QNetwork, observe, size
 from koopdqn.rl.policy import Policy, policy_network
 from koopdqn.rl.questions import Asking
@@ -109,7 +109,8 @@ class Trainer:
         starts = StartSampler(known, reward.model.start_frame, trajectories, self.step_limit, agent)
         parallel = agent.episodes_at_once, self._explore_rng
         self.env = VectorEnv(known, self.feedback, starts, *parallel, asking, twists)
-        self._labelling: Labelling = LabelAllKnown() if agent.trials == "all" else LabelChosen()
+        # The paper's way labels an action when it is tried, and tries any.
+        self._all_known = agent.trials == "all"
         self._checker = Checker(workcell, reward.model.fitted, settings, self.step_limit)
         self.history = History()
         self.progress = Progress()
@@ -149,15 +150,12 @@ class Trainer:
         return self.feedback.questions
 
     def run(
-        self,
-        on_check: Callable[[Check], None] = lambda check: None,
-        on_round: Callable[[], None] = lambda: None,
+        self, on_check: Callable[[Check], None] = lambda check: None, on_round: Callable[[], None] = lambda: None
     ) -> None:
         """Train until learned or at a limit.
 
-        Args:
-            on_check: called after every check, when the run may be saved.
-            on_round: called after every step of all episodes.
+        ``on_check`` is called after every check, when the run may be saved, ``on_round`` after every step of all
+        episodes.
 
         Raises:
             PauseRequested: whoever answers pauses the run.
@@ -181,8 +179,9 @@ class Trainer:
         twists = self.learner.propose(self.env.observations, self._explore_rng)
         evaluation = self.env.evaluate_actions(twists=twists)
         values = self.learner.ranking(observe(evaluation.local, self._task), evaluation)
-        labelled, motions = self._labelling.label(self.env, evaluation)
-        if labelled is not None:
+        motions: Motions = {}
+        if self._all_known:
+            labelled, motions = label_known(self.env, evaluation)
             self._store(labelled)
         changes = self.feedback.changes
         for index in range(len(self.env.episodes)):
@@ -221,12 +220,15 @@ class Trainer:
         if attempt.ended:
             self._end(index)
         wrong = attempt.reward is not None and attempt.reward < 0
-        return attempt.asked and wrong and self.agent.trials == "all" and not self.feedback.stopped
+        return attempt.asked and wrong and self._all_known and not self.feedback.stopped
 
     def _choose(self, index: int, evaluation: ActionEvaluation, values: np.ndarray) -> tuple[int | None, bool]:
         """Return the action an episode tries, or None if none is left, and whether to ask about it."""
         explore = self._explore_rng.random() < self.agent.epsilon(self.env_steps)
-        choice = self._labelling.choice(self.env, evaluation, index)
+        if self._all_known:
+            choice = choice_among_known(self.env, evaluation, index)
+        else:
+            choice = Choice(~self.env.episodes.tried[index])
         if not choice.allowed.any():
             return None, choice.ask
         if choice.ranking is None and explore:

@@ -78,11 +78,7 @@ class RememberedAnswers:
         """Return the index (N, K) of the answer that applies to each of K actions from poses (N, 7), or −1.
 
         The nearest answer counts; of equally near ones, the latest. The model's error in the margin is about the same
-        nearby, so a yes applies where the margin is at least that of the question, a no where it is at most that.
-
-        Args:
-            poses: before the actions.
-            margins: (N, K) of the model's predictions; at least 0 for right actions.
+        nearby, so a yes applies where the margin (N, K) is at least that of the question, a no where at most that.
         """
         found = np.full(margins.shape, -1)
         if not len(self) or self.settings.remember_m == 0.0:

@@ -1,17 +1,22 @@
-"""Checkpoints: the state of a run in one file, written atomically."""
+"""What a training leaves in its folder as it goes: its state in one file, written atomically, and events."""
 
 import json
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from koopdqn.artifact import Artifact, described, read_artifact, reading, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.files import canonical_json
 from koopdqn.intent.model import IntentSettings
 from koopdqn.rl.algorithm1 import Trainer
+from koopdqn.rl.checks import Check
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import recorded_arm
 from koopdqn.settings import load_settings
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
 
 KIND = "checkpoint"
 # Most differences and most characters of a value in a message.
@@ -26,13 +31,9 @@ def checkpoint_path(folder: Path) -> Path:
 
 
 def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], seconds: float) -> None:
-    """Save a trainer's state.
+    """Save the state of a run that has taken ``seconds`` so far into its folder.
 
-    Args:
-        folder: the run folder.
-        trainer: the run.
-        shaped_by: the config that determines the run; it is resumed only with the same.
-        seconds: duration of the run so far [s].
+    It is resumed only with the config that shapes it.
     """
     arrays, state = trainer.state()
     about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}
@@ -109,3 +110,41 @@ def _text(value: Any) -> str:
 def _brief(value: Any) -> str:
     text = _text(value)
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+
+
+class EventLog:
+    """Writes TensorBoard events: checks by actions tried, episodes by their number. Close it."""
+
+    def __init__(self, folder: Path, trainer: Trainer) -> None:
+        """Write below ``folder/events``, from the first check on; for a resumed run only new events."""
+        self._folder = folder
+        self._trainer = trainer
+        self._episodes = len(trainer.history.rewards)
+        self._resumed_at = trainer.env_steps
+
+    @cached_property
+    def _writer(self) -> "SummaryWriter":
+        # Its import would delay the first training step.
+        from torch.utils.tensorboard import SummaryWriter
+
+        return SummaryWriter(str(self._folder / "events"), purge_step=self._resumed_at or None)
+
+    def check(self, check: Check) -> None:
+        """Write a check and the episodes finished since the last."""
+        history, writer = self._trainer.history, self._writer
+        for number in range(self._episodes, len(history.rewards)):
+            kind = "exploring" if history.exploring[number] else "whole"
+            writer.add_scalar(f"reward_per_episode/{kind}", history.rewards[number], number)
+        self._episodes = len(history.rewards)
+        writer.add_scalar("check/success_rate", check.success_rate, check.env_steps)
+        writer.add_scalar("learner/loss", history.losses[-1], check.env_steps)
+        writer.add_scalar("oracle/questions", self._trainer.questions, check.env_steps)
+        for source, share in history.agreement().items():
+            if share is not None:
+                writer.add_scalar(f"reward_agreement/{source}", share, check.env_steps)
+        writer.flush()
+
+    def close(self) -> None:
+        """Close what was begun."""
+        if "_writer" in vars(self):
+            self._writer.close()

@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from koopdqn.artifact import below
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.rl.network import Buffers, QNetwork
 from koopdqn.rl.replay_buffer import Batch
@@ -72,14 +73,7 @@ def q_targets(rewards: Tensor, online_next: Tensor, target_next: Tensor, gamma: 
     """Return the targets (N,) of Q(s, a) where something follows; elsewhere a target is the reward alone.
 
     Double: r + γ Q'(s', argmax_a Q(s', a)). Otherwise Eq. 3 as written, with the target network Q':
-    r + γ max_a Q'(s', a).
-
-    Args:
-        rewards: (N,).
-        online_next: Q(s', ·) (N, 10).
-        target_next: Q'(s', ·) (N, 10).
-        gamma: γ.
-        double: which of the two.
+    r + γ max_a Q'(s', a). Rewards are (N,), Q(s', ·) and Q'(s', ·) of the online and the target network (N, 10).
     """
     if double:
         best = online_next.argmax(dim=1, keepdim=True)
@@ -208,9 +202,7 @@ class Learner(Networks):
     def _gradients(self, inputs: list[Tensor], slope: Tensor) -> list[Tensor]:
         """Return the gradients of the loss with respect to the online parameters, in their order.
 
-        Args:
-            inputs: inputs of every layer (N, units).
-            slope: gradient of the loss with respect to Q (N, 10).
+        Given are the inputs of every layer (N, units) and the gradient with respect to Q (N, 10).
         """
         gradients: list[Tensor] = []
         for index, (weight, _) in reversed(list(enumerate(self.online.weights))):
@@ -247,8 +239,3 @@ def load_arrays(network: nn.Module, arrays: dict[str, np.ndarray]) -> None:
 def arrays_of(network: nn.Module) -> dict[str, np.ndarray]:
     """Return a copy of a network's parameters and buffers."""
     return {name: values.detach().cpu().numpy().copy() for name, values in network.state_dict().items()}
-
-
-def below(state: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """Return the arrays whose names begin with a prefix, without it."""
-    return {name.removeprefix(prefix): values for name, values in state.items() if name.startswith(prefix)}

@@ -5,13 +5,14 @@ from typing import Literal
 
 import numpy as np
 
+from koopdqn.intent.bend import BentIntent
+from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import ASKED, BY_MODEL, NO_ANSWER, REMEMBERED, ActionEvaluation, IntentReward
-from koopdqn.oracles.base import Answer, Oracle, Question
+from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
 from koopdqn.oracles.replay import check_answer
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
-from koopdqn.rl.around import led_around
 from koopdqn.rl.replay_buffer import ReplayBuffer
 from koopdqn.tasks.actions import FIRST_TWIST
 
@@ -46,6 +47,37 @@ class Outcome:
     reopened: tuple[tuple[Array, int], ...] = ()
 
 
+@dataclass(frozen=True)
+class PersonAround(Oracle):
+    """A scripted person who would go around obstacles as the intent is bent around them.
+
+    Attributes:
+        person: answers along the path itself.
+        model: the bent intent.
+    """
+
+    person: Oracle
+    model: BentIntent
+
+    def answer(self, question: Question) -> Answer:
+        """Return the person's answer about the straightened motion."""
+        frame, starts = self.model.start_frame, question.start[None]
+        here, there = (frame.to_frame(each[None], starts) for each in (question.pose, question.reached))
+        straight, following = (self.model.bend.straightened(each) for each in (here, there))
+        pose_, reached = (frame.from_frame(each, starts, each)[0] for each in (straight, following))
+        return self.person.answer(replace(question, pose=pose_, reached=reached))
+
+
+def answering(oracle: Oracle, settings: OracleSettings, model: IntentModel) -> Oracle:
+    """Return an oracle made fit for a bent intent, if it stands in for a person and knows nothing of obstacles."""
+    return led_around(oracle, model) if settings.simulated else oracle
+
+
+def led_around(person: Oracle, model: IntentModel) -> Oracle:
+    """Return a scripted person who would go as an intent is bent, if it is."""
+    return PersonAround(person, model) if isinstance(model, BentIntent) else person
+
+
 class Feedback:
     """The reward function, extended by answers.
 
@@ -69,16 +101,7 @@ class Feedback:
         step_back: bool = True,
         replay: ReplayBuffer | None = None,
     ) -> None:
-        """Begin without answers.
-
-        Args:
-            reward: the reward function.
-            oracle: who answers.
-            settings: how far answers apply.
-            budget: of questions.
-            step_back: whether wrong actions are undone.
-            replay: the buffer whose rewards follow the answers; None for none.
-        """
+        """Begin without answers; stored rewards in ``replay``, if given, follow those to come."""
         self.reward = reward
         self.answers = RememberedAnswers(settings)
         self.questions = 0
@@ -137,12 +160,7 @@ class Feedback:
         return bool(trust.assess(point[None], np.array([step])).certified[0])
 
     def ask(self, question: Question, evaluation: ActionEvaluation, row: int) -> Outcome:
-        """Ask whether an action was right, learn from the answer, and label the action with it.
-
-        Args:
-            question: about the action.
-            evaluation: of actions, with the pose asked about in ``row``.
-            row: of the evaluation.
+        """Ask whether an action was right, learn from the answer, and label the action with it in the evaluation's row.
 
         Raises:
             PauseRequested: whoever answers pauses the run.

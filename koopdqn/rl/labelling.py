@@ -1,7 +1,6 @@
-"""Labelling strategies: which actions of a state are labelled, and among which an episode chooses."""
+"""What is labelled before an action is tried, and which actions may be tried."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -31,61 +30,37 @@ class Choice:
     ask: bool = False
 
 
-class Labelling(Protocol):
-    """A strategy of labelling and choosing actions."""
-
-    def label(self, env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled | None, Motions]:
-        """Label actions at the poses of all episodes before one is tried; None if none is labelled."""
-
-    def choice(self, env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
-        """Return the actions among which an episode chooses."""
-
-
-class LabelChosen:
-    """The paper's strategy: an action is labelled when it is tried; any untried action may be chosen."""
-
-    def label(self, env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled | None, Motions]:
-        """Label nothing."""
-        return None, {}
-
-    def choice(self, env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
-        """Return all untried actions."""
-        return Choice(~env.episodes.tried[index])
-
-
-class LabelAllKnown:
-    """Labels every action whose reward is known without asking, and tries a right one.
+def label_known(env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled, Motions]:
+    """Label every action whose reward is known without asking; right ones are checked for reachability first.
 
     This is §3.3's stepping back done at once: "know from that state what are the right and wrong actions".
     """
+    episodes = env.episodes
+    mask = evaluation.known & ~episodes.stored
+    rows, actions = np.nonzero(mask & (evaluation.reward >= 0))
+    moved = env.workcell.reachability.move_batch(evaluation.reached[rows, actions], episodes.joints[rows])
+    motions = dict(zip(zip(rows.tolist(), actions.tolist(), strict=True), moved, strict=True))
+    for (index, action), motion in motions.items():
+        if motion.joints is None:
+            env.forbid(index, action, evaluation)
+    rows, actions = np.nonzero(mask)
+    episodes.stored[rows, actions] = True
+    return Labelled(evaluation, rows, actions), motions
 
-    def label(self, env: VectorEnv, evaluation: ActionEvaluation) -> tuple[Labelled | None, Motions]:
-        """Label all actions whose reward is known; right ones are checked for reachability first."""
-        episodes = env.episodes
-        mask = evaluation.known & ~episodes.stored
-        rows, actions = np.nonzero(mask & (evaluation.reward >= 0))
-        moved = env.workcell.reachability.move_batch(evaluation.reached[rows, actions], episodes.joints[rows])
-        motions = dict(zip(zip(rows.tolist(), actions.tolist(), strict=True), moved, strict=True))
-        for (index, action), motion in motions.items():
-            if motion.joints is None:
-                env.forbid(index, action, evaluation)
-        rows, actions = np.nonzero(mask)
-        episodes.stored[rows, actions] = True
-        return Labelled(evaluation, rows, actions), motions
 
-    def choice(self, env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
-        """Return the actions known to be right; if there are none, those to ask about, the likeliest first."""
-        untried = ~env.episodes.tried[index]
-        right = untried & evaluation.known[index] & (evaluation.reward[index] >= 0)
-        if right.any():
-            return Choice(right)
-        if _blocked(env, evaluation, index):
-            return Choice(np.zeros_like(right))
-        # A person is asked about actions that have a name.
-        untried[FIRST_TWIST:] = False
-        # Actions not excluded by rules, demonstrations or their own answers.
-        unsure = (ASKED,) if env.put_off.on else (ASKED, CERTIFIED)
-        return Choice(untried & np.isin(evaluation.source[index], unsure), evaluation.margin[index], ask=True)
+def choice_among_known(env: VectorEnv, evaluation: ActionEvaluation, index: int) -> Choice:
+    """Return an episode's actions known to be right; if there are none, those to ask about, the likeliest first."""
+    untried = ~env.episodes.tried[index]
+    right = untried & evaluation.known[index] & (evaluation.reward[index] >= 0)
+    if right.any():
+        return Choice(right)
+    if _blocked(env, evaluation, index):
+        return Choice(np.zeros_like(right))
+    # A person is asked about actions that have a name.
+    untried[FIRST_TWIST:] = False
+    # Actions not excluded by rules, demonstrations or their own answers.
+    unsure = (ASKED,) if env.put_off.on else (ASKED, CERTIFIED)
+    return Choice(untried & np.isin(evaluation.source[index], unsure), evaluation.margin[index], ask=True)
 
 
 def _blocked(env: VectorEnv, evaluation: ActionEvaluation, index: int) -> bool:

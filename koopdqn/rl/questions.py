@@ -1,8 +1,8 @@
 """Questions about attempts, and those put off to the end of their episode."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -51,11 +51,8 @@ class Asking:
     most: int = 10
 
 
-class Ask(Protocol):
-    """A function that asks a question and labels the action in a row of an evaluation with the answer."""
-
-    def __call__(self, question: Question, evaluation: ActionEvaluation, row: int) -> bool:
-        """Ask; return whether there was an answer."""
+Ask = Callable[[Question, ActionEvaluation, int], bool]
+"""Asks a question, labels the action in a row of an evaluation with the answer, and returns whether there was one."""
 
 
 class PutOffQuestions:
@@ -115,14 +112,10 @@ class PutOffQuestions:
 def question_about(
     attempt: OpenAttempt, reward: IntentReward, evaluation: ActionEvaluation, row: int, place: Place | None = None
 ) -> Question:
-    """Return the question whether an attempt was right.
+    """Return the question whether an attempt was right, whose pose stands in a row of an evaluation.
 
-    Args:
-        attempt: the attempt.
-        reward: gives the reason for asking.
-        evaluation: of actions, with the attempt's pose in ``row``.
-        row: of the evaluation.
-        place: of the question among those of its episode; None if it is asked at once.
+    The reward function gives the reason for asking. The question has a place among those of its episode unless it is
+    asked at once.
     """
     local, trust = evaluation.local_reached[row, attempt.action], reward.trust
     candidates = evaluation.reached[row, :FIRST_TWIST].copy()
@@ -152,13 +145,7 @@ def answered(attempts: list[OpenAttempt], feedback: Feedback, ask: Ask, limit: i
     """Ask about an episode's attempts in order, and yield each as soon as it is labelled.
 
     Attempts that an earlier answer has labelled are not asked about. Where wrong actions are undone, attempts after a
-    wrong one are dropped, since only it led there.
-
-    Args:
-        attempts: of one episode, oldest first.
-        feedback: evaluates actions.
-        ask: asks the oracle.
-        limit: steps after which the episode is truncated.
+    wrong one are dropped, since only it led there. After ``limit`` steps the episode is truncated.
 
     Raises:
         PauseRequested: whoever answers pauses the run.

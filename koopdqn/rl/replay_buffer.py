@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from koopdqn.intent.reward import RULE, SOURCES, ActionEvaluation
 from koopdqn.pose import Array
-from koopdqn.rl.history import History
+from koopdqn.rl.checks import History
 from koopdqn.rl.network import observe
 from koopdqn.tasks.actions import COUNT, twists_between, within_tolerance
 from koopdqn.tasks.task import Task, demonstrator_next_poses
@@ -138,13 +138,10 @@ class ReplayBuffer:
     """
 
     def __init__(self, capacity: int, inputs: int, twist: int = 0, per_state: int = COUNT) -> None:
-        """Make an empty buffer.
+        """Make an empty buffer of observations of ``inputs`` values.
 
-        Args:
-            capacity: largest number of transitions held.
-            inputs: number of observed values.
-            twist: numbers of a twist; 0 where Table 1's actions are all there are.
-            per_state: most transitions of a state that are stored together.
+        A twist has ``twist`` numbers, 0 where Table 1's actions are all there are; at most ``per_state`` transitions of
+        a state are stored together.
         """
         self.capacity = capacity
         self._per_state = per_state
@@ -213,13 +210,9 @@ class ReplayBuffer:
         return Transitions(**{name: values[: len(self)].copy() for name, values in self._arrays.items()})
 
     def revalue(self, rows: np.ndarray, rewards: NDArray[np.float32], at_goal: np.ndarray, *, step_back: bool) -> None:
-        """Set new rewards (M,) of the transitions in ``rows`` (M,).
+        """Set new rewards (M,) of the transitions in ``rows`` (M,), some of which reach the goal (M,).
 
-        Args:
-            rows: indices of the transitions.
-            rewards: their new rewards.
-            at_goal: (M,) whether they reach the goal.
-            step_back: whether wrong actions are undone.
+        With ``step_back`` wrong actions are undone.
         """
         self._arrays["rewards"][rows] = rewards
         undone = (rewards < 0) & step_back

@@ -18,9 +18,7 @@ class NetworkSettings(Settings):
     fourier_features: NonNegativeInt = Field(description="random Fourier features of the position; 0 for plain inputs")
     length_scale_m: float = Field(ge=1e-4, le=1e3, description="of the Fourier features [m]")
     length_scale_rad: float = Field(
-        ge=1e-3,
-        le=1e3,
-        description="of the Fourier features in what is left to turn, where that is learned [rad]",
+        ge=1e-3, le=1e3, description="of the Fourier features in what is left to turn, where that is learned [rad]"
     )
 
 
@@ -166,13 +164,8 @@ _EPISODE = 16 * 1024
 _TWIST = 6
 
 
-def needed_bytes(agent: Agent, inputs: int) -> dict[str, int]:
-    """Return an estimate of an agent's memory [bytes], by the setting it depends on most.
-
-    Args:
-        agent: its settings.
-        inputs: number of values observed.
-    """
+def _needed_bytes(agent: Agent, inputs: int) -> dict[str, int]:
+    """Return an estimate of the memory that an agent needs [bytes], by the setting it depends on most."""
     widths = [inputs + agent.network.fourier_features, *agent.network.hidden, 10]
     tried = COUNT if agent.drawn == "states" else 1
     # Every weight is drawn in double precision before it is kept.
@@ -195,20 +188,13 @@ def needed_bytes(agent: Agent, inputs: int) -> dict[str, int]:
     return needed
 
 
-def check_memory(agent: Agent, inputs: int, available: int | None = None) -> None:
-    """Check that an agent fits into memory, so that no run fails half-way for lack of it.
-
-    Args:
-        agent: its settings.
-        inputs: number of values observed.
-        available: memory [bytes]; None takes this machine's and checks nothing if it is unknown.
+def check_memory(agent: Agent, inputs: int) -> None:
+    """Check that an agent that observes ``inputs`` values fits into memory, lest a run fail half-way for lack of it.
 
     Raises:
-        BadInputError: it needs more than the machine's memory.
+        BadInputError: it needs more than the machine's memory, where that is known.
     """
-    if available is None:
-        available = physical_memory()
-    needed = needed_bytes(agent, inputs)
+    available, needed = physical_memory(), _needed_bytes(agent, inputs)
     if available is None or sum(needed.values()) <= available:
         return
     key = max(needed, key=needed.__getitem__)

@@ -21,7 +21,6 @@ from koopdqn.tasks.workcell import Motion, Workcell
 _SAME = 1e-12
 
 
-@dataclass
 class Episodes:
     """The state of N episodes, as arrays over episodes.
 
@@ -38,32 +37,18 @@ class Episodes:
         exploring: (N,) whether it is a short exploring episode.
     """
 
-    poses: Array
-    starts: Array
-    joints: Array
-    steps: np.ndarray
-    limits: np.ndarray
-    numbers: np.ndarray
-    rewards: Array
-    tried: np.ndarray
-    stored: np.ndarray
-    exploring: np.ndarray
-
-    @classmethod
-    def empty(cls, count: int, joints: int, actions: int = COUNT) -> "Episodes":
-        """Return ``count`` episodes of an arm with ``joints`` joints that have not begun, with that many actions."""
-        return cls(
-            poses=np.zeros((count, 7)),
-            starts=np.zeros((count, 7)),
-            joints=np.zeros((count, joints)),
-            steps=np.zeros(count, dtype=np.int64),
-            limits=np.zeros(count, dtype=np.int64),
-            numbers=np.zeros(count, dtype=np.int64),
-            rewards=np.zeros(count),
-            tried=np.zeros((count, actions), dtype=bool),
-            stored=np.zeros((count, actions), dtype=bool),
-            exploring=np.zeros(count, dtype=bool),
-        )
+    def __init__(self, count: int, joints: int, actions: int = COUNT) -> None:
+        """Make ``count`` episodes of an arm with ``joints`` joints that have not begun, with that many actions."""
+        self.poses: Array = np.zeros((count, 7))
+        self.starts: Array = np.zeros((count, 7))
+        self.joints: Array = np.zeros((count, joints))
+        self.steps: np.ndarray = np.zeros(count, dtype=np.int64)
+        self.limits: np.ndarray = np.zeros(count, dtype=np.int64)
+        self.numbers: np.ndarray = np.zeros(count, dtype=np.int64)
+        self.rewards: Array = np.zeros(count)
+        self.tried: np.ndarray = np.zeros((count, actions), dtype=bool)
+        self.stored: np.ndarray = np.zeros((count, actions), dtype=bool)
+        self.exploring: np.ndarray = np.zeros(count, dtype=bool)
 
     def __len__(self) -> int:
         """Return the number of episodes."""
@@ -96,12 +81,12 @@ class Episodes:
 
     def state(self) -> dict[str, np.ndarray]:
         """Return the state as arrays."""
-        return {name: getattr(self, name).copy() for name in self.__dataclass_fields__}
+        return {name: values.copy() for name, values in vars(self).items()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Restore what :meth:`state` returned."""
-        for name in self.__dataclass_fields__:
-            getattr(self, name)[...] = state[name]
+        for name, values in vars(self).items():
+            values[...] = state[name]
 
 
 @dataclass(frozen=True)
@@ -156,7 +141,7 @@ class VectorEnv:
         self.workcell = workcell
         self.feedback = feedback
         actions = FIRST_TWIST + twists if feedback.reward.continuous else COUNT
-        self.episodes = Episodes.empty(count, len(workcell.arm.joint_names), actions)
+        self.episodes = Episodes(count, len(workcell.arm.joint_names), actions)
         self.put_off = PutOffQuestions(asking, feedback, count)
         self.begun = 0
         self._starts = starts
@@ -184,24 +169,12 @@ class VectorEnv:
         return self.feedback.evaluate_actions(poses, steps, starts, twists)
 
     def try_action(
-        self,
-        index: int,
-        action: int,
-        evaluation: ActionEvaluation,
-        motion: Motion | None = None,
-        *,
-        ask: bool = False,
+        self, index: int, action: int, evaluation: ActionEvaluation, motion: Motion | None, *, ask: bool = False
     ) -> Attempt:
         """Try an action in an episode.
 
-        An action that the arm cannot carry out is wrong. If the reward is not known, the oracle is asked.
-
-        Args:
-            index: of the episode.
-            action: its index.
-            evaluation: of :meth:`evaluate_actions`; it takes the attempt's label.
-            motion: of the arm; None if not computed yet.
-            ask: ask even if the reward is known.
+        An action that the arm cannot carry out is wrong. If the reward is not known, or with ``ask`` even if it is, the
+        oracle is asked. The evaluation takes the attempt's label; the arm's motion is None if not computed yet.
 
         Raises:
             PauseRequested: whoever answers pauses the run.

@@ -121,11 +121,8 @@ def baked_trust(trust: TrustDomain) -> dict[str, Any]:
 def _surface(middle: Array, half: Array, known: np.ndarray, order: float) -> tuple[Array, np.ndarray]:
     """Return vertices (V, 3) and triangles (F, 3) of a tube about a middle (S, 3), left out where nothing is known.
 
-    Args:
-        middle: along the tube [m].
-        half: (S, 3) half widths along x, y and z [m].
-        known: (S,) where the tube is.
-        order: of the norm whose unit ball is the cross-section: 2 an ellipsoid, infinity a box.
+    ``half`` (S, 3) are half widths along x, y and z, ``known`` (S,) says where the tube is. The cross-section is the
+    unit ball of the norm of an order: 2 an ellipsoid, infinity a box.
     """
     chosen = np.unique(np.linspace(0, len(middle) - 1, min(len(middle), _RINGS)).round().astype(int))
     # A turn in place has no direction, and no ring of its own.

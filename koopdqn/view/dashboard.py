@@ -62,14 +62,9 @@ class Dashboard:
     def __init__(
         self, trainer: Trainer, demonstrations: list[Array], budget: int | None, console: Console, seconds: float = 0.0
     ) -> None:
-        """Prepare to show a training.
+        """Prepare to show a training that has taken ``seconds`` so far, beside demonstrated poses (N, 7).
 
-        Args:
-            trainer: what is shown.
-            demonstrations: poses (N, 7) to draw beside what is learned.
-            budget: most questions; None for no limit.
-            console: the terminal.
-            seconds: that the training has taken so far.
+        ``budget`` is the most questions that may be asked; None for no limit.
         """
         self._trainer = trainer
         self._budget = budget
@@ -90,11 +85,8 @@ class Dashboard:
 
     def __enter__(self) -> "Dashboard":
         """Take the screen."""
-        live = Live(
-            self.content(), console=self._console, screen=True, auto_refresh=False, redirect_stdout=False,
-            redirect_stderr=False,
-        )  # fmt: skip
-        self._live = self._open.enter_context(live)
+        apart: dict[str, Any] = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
+        self._live = self._open.enter_context(Live(self.content(), console=self._console, screen=True, **apart))
         # Only the main thread may set handlers.
         if hasattr(signal, "SIGTSTP") and threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGTSTP, self._ask_to_stop)

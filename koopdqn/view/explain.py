@@ -53,13 +53,8 @@ def walked(
 ) -> Walk:
     """Return an episode of a policy with what is known along it.
 
-    Args:
-        episode: the path.
-        policy: whose it is.
-        feedback: the reward function with what answers taught.
-        task: the task.
-        step_limit: of reference paths.
-        referred: compare with the scripted person's own path from the same start, else with the intent's roll-out.
+    It is compared with the scripted person's own path from the same start if that is ``referred`` to, else with the
+    intent's roll-out, up to a step limit.
     """
     start = episode.poses[0]
     if referred:
@@ -145,17 +140,11 @@ def explained_actions(
     *,
     referred: bool,
 ) -> list[ExplainedAction]:
-    """Return what is known of the ten actions in one state.
+    """Return what is known of the ten actions in one state, which stands in a row of an evaluation.
 
-    Args:
-        evaluation: of actions, with the state in a row.
-        row: which.
-        values: (10,) Q in that state.
-        feedback: the reward function with what answers taught.
-        workcell: task, arm and scene.
-        trajectories: demonstrated poses (N, 7) at the agent's step, in the intent's start frame.
-        joints: of the arm in the state (6,) [rad]; None if they are not known.
-        referred: whether a scripted person can be asked.
+    Values (10,) are Q there, joints (6,) [rad] the arm's, None if they are not known. Trajectories are demonstrated
+    poses (N, 7) at the agent's step, in the intent's start frame; ``referred`` says whether a scripted person can be
+    asked.
     """
     task, reached = workcell.task, evaluation.reached[row]
     refused = [""] * COUNT

@@ -5,9 +5,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+import PIL.Image
+import PIL.ImageDraw
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -16,11 +18,8 @@ from koopdqn.plots import style
 from koopdqn.pose import Array
 from koopdqn.robot.render import Camera, Image
 from koopdqn.robot.scene import Scene
-from koopdqn.robot.view import View, choose_view
+from koopdqn.robot.view import choose_view
 from koopdqn.view.motions import Motion
-
-if TYPE_CHECKING:
-    from PIL.Image import Image as Picture
 
 SIZE: Final = (640, 480)
 SECONDS: Final = 10.0
@@ -65,14 +64,9 @@ def write_film(
     demonstrated: Motion,
     advance: Callable[[float], None] = lambda frames: None,
 ) -> None:
-    """Write a film of two motions side by side, each from its start to its end.
+    """Write a film, .mp4 or .gif, of two motions side by side, the learned one left, each from its start to its end.
 
-    Args:
-        path: the file, .mp4 or .gif.
-        scene: the arm and what stands around it.
-        learned: with a pose of the arm at least, shown on the left.
-        demonstrated: the same, shown on the right.
-        advance: told of every frame made.
+    The arm can begin both. ``advance`` is told of every frame made.
 
     Raises:
         BadInputError: the file cannot be written.
@@ -94,9 +88,7 @@ def write_film(
 
 
 def _write_gif(path: Path, frames: Iterator[Image], rate: int, advance: Callable[[float], None]) -> None:
-    import PIL.Image
-
-    def reduced() -> Iterator["Picture"]:
+    def reduced() -> Iterator[PIL.Image.Image]:
         shades = None
         for frame in frames:
             advance(1)
@@ -119,7 +111,8 @@ def film_frames(scene: Scene, learned: Motion, demonstrated: Motion, count: int)
     colours = (style.LEARNED, style.DEMONSTRATED)
     back, cursors = _background(motions, colours)
     view = choose_view(scene, learned.joints, _PANEL)
-    lines = [_pixels(motion, view, scene) for motion in motions]
+    angle = scene.model.vis.global_.fovy
+    lines = [view.pixels(motion.poses[:, pose.POSITION], _PANEL, angle) for motion in motions]
     with Camera(scene, _PANEL) as camera:
         for share in np.linspace(0.0, 1.0, count):
             frame = back.copy()
@@ -135,15 +128,8 @@ def film_frames(scene: Scene, learned: Motion, demonstrated: Motion, count: int)
             yield frame
 
 
-def _pixels(motion: Motion, view: View, scene: Scene) -> Array:
-    return view.pixels(motion.poses[:, pose.POSITION], _PANEL, scene.model.vis.global_.fovy)
-
-
 def _with_lines(image: Image, lines: list[Array], colours: tuple[str, ...], own: int, now: int) -> Image:
     """Return a picture with both paths in it: the other thin, its own as far as the arm has come."""
-    import PIL.Image
-    import PIL.ImageDraw
-
     picture = PIL.Image.fromarray(image)
     pen = PIL.ImageDraw.Draw(picture)
     other = 1 - own
@@ -157,8 +143,8 @@ def _background(
     motions: tuple[Motion, Motion], colours: tuple[str, str]
 ) -> tuple[Image, list[tuple[int, int, int, int]]]:
     """Return the picture without the arm, and where a cursor goes in each plot: left, right, top, bottom [pixels]."""
+    # Behind koopdqn.plots, which sees to it that matplotlib can be imported.
     import matplotlib as mpl
-    import PIL.Image
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -11,7 +11,7 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
 from koopdqn.evaluation.evaluate import drawn_starts
 from koopdqn.evaluation.metrics import reference_paths
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
@@ -116,11 +116,11 @@ def learned_motions(
     Args:
         workcell: task, arm and scene.
         policy: what was learned.
-        feedback: the reward function with what answers taught; says where rewards come from.
+        feedback: says where rewards come from.
         settings: which starts evaluation draws.
         count: how many of them.
         step_limit: steps after which a motion ends.
-        referred: whether the demonstrator's own paths are what learned ones are compared with.
+        referred: whether learned paths are compared with the demonstrator's own.
 
     Raises:
         BadInputError: hardly any start of the region can be taken.
@@ -207,16 +207,10 @@ def followed(
     begin: Array | None = None,
     known: Array | None = None,
 ) -> Motion:
-    """Return the motion along given poses (T, 7), the arm as far as it can follow.
+    """Return the motion along given poses (T, 7) of the flange, of a task or of none, the arm as far as it can follow.
 
-    Args:
-        name: for people.
-        kind: what made it.
-        poses: of the flange.
-        reachability: the arm in its scene.
-        task: gives goal and rule; None where there is none.
-        begin: joints (6,) [rad] at the first pose; None enters it.
-        known: joints (T, 6) [rad] that were recorded; None finds them.
+    The joints (T, 6) [rad] are those known, or else found, beginning with joints (6,) [rad] or by entering the first
+    pose.
     """
     remark, goal = "the arm follows to its end", poses[-1] if task is None else task.goal
     if known is None:

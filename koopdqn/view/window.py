@@ -130,7 +130,9 @@ def watch(shown: Shown) -> None:
     opened = viewer.launch_passive(
         scene.model, data, key_callback=pressed.append, show_left_ui=False, show_right_ui=False
     )
-    fixed = [*_tracks(shown), *([] if shown.trust is None else tube(shown.trust))]
+    fixed = [Line(track, rgba(COLOURS["demonstration"]), 0.0016) for track in shown.tracks]
+    if shown.trust is not None:
+        fixed += tube(shown.trust)
     marks = [] if shown.goal is None else [Sphere(shown.goal[POSITION], rgba(COLOURS["intent"]), 0.008)]
     before, drawn = time.monotonic(), -1
     with _ended(others), closing(opened) as window:
@@ -199,7 +201,3 @@ def tube(trust: TrustDomain) -> list[Line]:
         for begin, end in pairwise(chosen)
         if trust.known[begin : end + 1].all()
     ]
-
-
-def _tracks(shown: Shown) -> list[Line]:
-    return [Line(track, rgba(COLOURS["demonstration"]), 0.0016) for track in shown.tracks]

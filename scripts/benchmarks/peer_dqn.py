@@ -15,8 +15,7 @@ from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.envs.gym import KoopmanEnv, Observations
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
-from koopdqn.rl.checks import Checker, Progress
-from koopdqn.rl.history import Check
+from koopdqn.rl.checks import Check, Checker, Progress
 from koopdqn.rl.network import observe
 
 if TYPE_CHECKING:

@@ -64,7 +64,7 @@ class Sqil:
         self.learner.normalise_to(self._shown.observations)
         self._replay = ReplayBuffer(agent.replay, size(task))
         self._starts = StartSampler(workcell, frame, frame.each(trajectories), step_limit, agent)
-        self._batch = Episodes.empty(agent.episodes_at_once, len(workcell.arm.joint_names))
+        self._batch = Episodes(agent.episodes_at_once, len(workcell.arm.joint_names))
         self._begun = 0
         for index in range(len(self._batch)):
             self._begin(index)

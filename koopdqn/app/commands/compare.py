@@ -25,7 +25,7 @@ from koopdqn.files import write_json
 from koopdqn.plots import style
 from koopdqn.pose import POSITION, Array
 from koopdqn.report.runs import SCRIPTED
-from koopdqn.rl.around import PolicyAround
+from koopdqn.rl.policy import PolicyAround
 from koopdqn.rl.schema import TrainReport
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out

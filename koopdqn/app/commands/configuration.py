@@ -17,7 +17,7 @@ from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.recordings.recording import ImportSettings
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.evaluation.correction import CorrectionSettings
-from koopdqn.evaluation.settings import EvaluationSettings
+from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.intent.fit import FitSettings
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings
@@ -34,7 +34,7 @@ from koopdqn.safety.guard import GuardSettings
 from koopdqn.settings import Name, NonNegativeInt, PathText, Settings, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
-from koopdqn.view.settings import CompareSettings, ExplainSettings, ViewSettings
+from koopdqn.view.schema import CompareSettings, ExplainSettings, ViewSettings
 
 # Groups whose options name the class of their settings; the other sections have one class each.
 _GROUPS = ("intent", "trust", "oracle", "agent", "robot")

@@ -24,8 +24,7 @@ from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
 from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround
-from koopdqn.rl.policy import Policy, read_policy, write_corrected
+from koopdqn.rl.policy import Policy, PolicyAround, read_policy, write_corrected
 from koopdqn.tasks.rollout import Episode
 from koopdqn.tasks.workcell import Workcell
 

@@ -17,9 +17,8 @@ from koopdqn.files import write_json
 from koopdqn.intent.bend import BentIntent
 from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.pose import Array
-from koopdqn.rl.around import PolicyAround
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.policy import Policy
+from koopdqn.rl.policy import Policy, PolicyAround
 from koopdqn.tasks.moved_goals import DrawnStarts
 from koopdqn.tasks.rollout import RULE_BROKEN, STUCK, SUCCESS, Episode, roll_out
 from koopdqn.view.explain import Walk, drawn_of, explained_actions, left_at, telling_step, trust_of, walked

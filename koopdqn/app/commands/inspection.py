@@ -26,7 +26,7 @@ _COLOURS = {"good": "green", "look": "yellow", "bad": "bold red"}
 
 def inspect(config: Configuration, folder: Path) -> CommandResult:
     """Write ``inspect.json``, ``inspect.png`` and the cleaned ``demos.hdf5``, and tell what was found."""
-    from koopdqn.plots.inspection import plot_inspection
+    from koopdqn.plots.demos import plot_inspection
 
     read, demonstrations = read_and_cut(config, "inspect")
     # What does not move shows nothing, whichever steps are on.

@@ -25,7 +25,7 @@ from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile, St
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.streaming import Streamed, read_state, stream
 from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
-from koopdqn.rl.around import tube_of
+from koopdqn.rl.policy import tube_of
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.ur import URArm
 from koopdqn.safety.guard import Guard

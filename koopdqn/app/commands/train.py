@@ -21,11 +21,9 @@ from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.around import answering
-from koopdqn.rl.checkpoint import checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
-from koopdqn.rl.events import EventLog
-from koopdqn.rl.history import Check
-from koopdqn.rl.human_reward import Budget
+from koopdqn.rl.checkpoint import EventLog, checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.checks import Check
+from koopdqn.rl.human_reward import Budget, answering
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
@@ -169,7 +167,7 @@ def _learn(
     # Closed first, so that what is said at the end finds the terminal as it was.
     with (
         console.stage("Learning", bar=bar) as stage,
-        EventLog(folder, trainer) as events,
+        closing(EventLog(folder, trainer)) as events,
         dashboard or nullcontext(),
         closing(oracle),
     ):

@@ -23,9 +23,8 @@ from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl import checkpoint
-from koopdqn.rl.around import PolicyAround, around
 from koopdqn.rl.human_reward import Feedback
-from koopdqn.rl.policy import Policy, read_policy
+from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import recorded_arm
 from koopdqn.settings import load_settings, shown

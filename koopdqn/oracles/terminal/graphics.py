@@ -5,9 +5,11 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
+from PIL import Image as Pictures
+from PIL import ImageDraw, ImageFont
 from rich.color import Color
 from rich.style import Style
 from rich.text import Text
@@ -15,6 +17,7 @@ from rich.text import Text
 from koopdqn import console
 from koopdqn.errors import WorkFailedError
 from koopdqn.oracles.terminal.device import Device, Drawn, Graphics, choose_graphics
+from koopdqn.oracles.terminal.picture import WorkcellCamera
 from koopdqn.oracles.terminal.screen import Region, region
 from koopdqn.robot.render import Image
 
@@ -32,8 +35,6 @@ _MARK_COLOURS: Final = {"r": "bright_yellow", "m": "bright_cyan", "g": "bright_g
 
 def resized(image: Image, width: int, height: int) -> Image:
     """Return a picture (height, width, 3) whose every pixel is the mean of those it stands for."""
-    from PIL import Image as Pictures
-
     return np.asarray(Pictures.fromarray(image).resize((width, height), Pictures.Resampling.BOX))
 
 
@@ -42,9 +43,6 @@ def lettered(image: Image, marks: Mapping[str, tuple[float, float]], caption: st
 
     A caption stands in its lower left corner.
     """
-    from PIL import Image as Pictures
-    from PIL import ImageDraw, ImageFont
-
     height, width, _ = image.shape
     drawn = Pictures.fromarray(image)
     pen = ImageDraw.Draw(drawn)
@@ -109,8 +107,6 @@ KITTY_CLEAR: Final = "\x1b_Ga=d,q=2\x1b\\"
 
 def png(image: Image) -> bytes:
     """Return a picture (height, width, 3) as a PNG file's bytes."""
-    from PIL import Image as Pictures
-
     buffer = io.BytesIO()
     Pictures.fromarray(image).save(buffer, format="PNG")
     return buffer.getvalue()
@@ -130,8 +126,6 @@ def kitty(image: Image, width: int, rows: int) -> str:
 
 def sixel(image: Image) -> str:
     """Return the sequence that draws a picture at the cursor in DEC's sixels (VT340 manual), a pixel a pixel."""
-    from PIL import Image as Pictures
-
     height, width, _ = image.shape
     coded = Pictures.fromarray(image).quantize(_SIXEL_COLOURS)
     flat = np.array(coded.getpalette() or [], dtype=int).reshape(-1, 3)
@@ -176,14 +170,7 @@ class Picture:
     place: Region
 
 
-class Closable(Protocol):
-    """What holds something until it is closed."""
-
-    def close(self) -> None:
-        """Free what it holds."""
-
-
-Drawer = TypeVar("Drawer", bound=Closable)
+Drawer = TypeVar("Drawer", bound=WorkcellCamera)
 
 
 class Window(Generic[Drawer]):

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from koopdqn import console, pose
 from koopdqn.oracles.base import Answer, Earlier, Question
+from koopdqn.pose import Array
 from koopdqn.tasks.actions import COUNT, NAMES, legal_actions
 from koopdqn.tasks.task import Task
 
@@ -273,18 +274,12 @@ def beside(left: list[Text], right: list[Text], width: int) -> list[Text]:
 
 def moved(question: Question) -> str:
     """Return how far the action went, in position and in rotation."""
-    return _amounts(
-        float(pose.position_distance(question.reached, question.pose)),
-        float(pose.rotation_distance(question.reached, question.pose)),
-    )
+    return _amounts(question.reached, question.pose)
 
 
 def remaining(question: Question, task: Task) -> str:
     """Return how far the goal is after the action, in position and in rotation."""
-    return _amounts(
-        float(pose.position_distance(question.reached, task.goal)),
-        float(pose.rotation_distance(question.reached, task.goal)),
-    )
+    return _amounts(question.reached, task.goal)
 
 
 def nearer(question: Question, task: Task) -> str:
@@ -360,5 +355,6 @@ def recalled(item: Earlier) -> str:
     return f"answer {item.number}, {SHORT[item.action]}: {verdict(item.right)}"
 
 
-def _amounts(metres: float, radians: float) -> str:
-    return f"{1e3 * metres:7.1f} mm {np.degrees(radians):6.1f}°"
+def _amounts(one: Array, other: Array) -> str:
+    moved, turned = float(pose.position_distance(one, other)), float(pose.rotation_distance(one, other))
+    return f"{1e3 * moved:7.1f} mm {np.degrees(turned):6.1f}°"

@@ -3,7 +3,7 @@ import json
 import numpy as np
 
 from koopdqn.intent.reward import ASKED, REMEMBERED, RULE, TRUSTED
-from koopdqn.rl.history import Check, History
+from koopdqn.rl.checks import Check, History
 
 
 def some_history() -> History:
