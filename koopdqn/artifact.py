@@ -23,6 +23,8 @@ FORMAT_VERSION = 1
 _KEY = "koopdqn"
 _FEW = 3
 """So many keys that differ are told with their values."""
+_DIGEST = 64
+"""Characters of a text that says nothing to a person."""
 _SHA = "arrays_sha256"
 _MOST_ARRAYS = 1000
 # The record that ends a zip file, and how much before it another kind of it may stand.
@@ -211,9 +213,9 @@ def check_task(what: str, found: Any, task: Settings) -> None:
 
 
 def _both(key: str, known: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    """Return a key with both of its values, where they are single ones."""
+    """Return a key with both of its values, where they are single ones that a person can read."""
     there, here = known.get(key), wanted.get(key)
-    plain = all(isinstance(each, bool | int | float | str) for each in (there, here))
+    plain = all(isinstance(each, bool | int | float | str) and len(str(each)) < _DIGEST for each in (there, here))
     return f"{key}, {shown(there)} there and {shown(here)} here" if plain else key
 
 

@@ -30,7 +30,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("runs")
     one, other, odd = folder / "one", folder / "other", folder / "<i>[red] & $two"
     assert cli.main(["train", *SMALL, STOPPED, f"out={one}"]) == 1
-    given = [f"demos={one}/demos.hdf5", f"intent={one}/intent.npz", "seed=7", "agent.gamma=0.4"]
+    # The trust is the file's, whatever is given.
+    given = [f"demos={one}/demos.hdf5", f"intent={one}/intent.npz", "trust=box", "seed=7", "agent.gamma=0.4"]
     assert cli.main(["train", *SMALL, STOPPED, *given, f"out={other}"]) == 1
     shutil.copytree(other, odd)
     few = ("eval.episodes=2", "eval.dynamics=false", "eval.baselines=false")

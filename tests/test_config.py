@@ -17,7 +17,7 @@ from koopdqn import resources
 from koopdqn import settings as settings_module
 from koopdqn.app.hydra.completion import complete
 from koopdqn.app.hydra.folder import require_new, require_writable
-from koopdqn.app.hydra.overrides import literal, prepare
+from koopdqn.app.hydra.overrides import going_on, literal, prepare
 from koopdqn.errors import BadInputError
 from koopdqn.settings import Count, Counts, Fraction, PathText, Positive, Settings, Vector3, load_settings, validate
 
@@ -295,6 +295,17 @@ class TestOverrides:
         assert found[:3] == ["seed=4", f"run={tmp_path}", "oracle=scripted"]
         same = prepare("train", [f"run={tmp_path}", "oracle.teacher=bert"]).overrides
         assert same[:4] == ["oracle=terminal", "seed=4", f"run={tmp_path}", "oracle.teacher=bert"]
+
+    def test_the_command_that_goes_on_says_again_what_a_record_may_not(self, tmp_path: Path) -> None:
+        folder = tmp_path / "a run"
+        folder.mkdir()
+        own = ["robot=mjcf", "robot.path='my arm.xml'", "oracle=custom", "oracle.target=mine.Up", "demos=a.csv"]
+        record(folder, [*own, "task=knife", f"out={folder}", "command=train"])
+        (folder / "demos.hdf5").touch()
+        given = ["robot.path='my arm.xml'", "trust_modules=[mine]"]
+        assert going_on("train", folder) == ["train", f"run={folder}", *given]
+        prepared = prepare(*going_on("train", folder)[:1], going_on("train", folder)[1:])
+        assert prepared.record == [*own[:1], *own[2:], "task=knife", f"out={folder}", "command=train", *given]
 
     def test_a_journal_is_named_in_short_or_in_full(self) -> None:
         for name in ("journal", "oracle.journal"):

@@ -21,7 +21,7 @@ from koopdqn.evaluation.dynamics import Execution, play
 from koopdqn.pose import Array
 from koopdqn.resources import asset_path
 from koopdqn.robot.arm import Arm
-from koopdqn.robot.mjcf import MjcfArm
+from koopdqn.robot.mjcf import MjcfArm, recorded_arm
 from koopdqn.settings import load_settings
 from koopdqn.tasks.workcell import Reachability, Workcell, build_scene
 
@@ -214,6 +214,8 @@ def test_the_digest_is_also_of_what_a_file_includes_and_names(tmp_path: Path, se
     alone = hashlib.sha256(top.read_bytes()).hexdigest()
     # As an earlier koopdqn wrote it.
     assert arm_of(top, "flange", f"robot.sha256={alone}").sha256 == arm_of(top).sha256 != alone
+    node = {**described(arm_of(top)), "sha256": alone}
+    assert recorded_arm(node, arm_of(top)) == arm_of(top)
     known = arm_of(top).sha256
     for file in (mesh, tmp_path / "inner.xml"):
         text = file.read_text(encoding="utf-8")

@@ -1,14 +1,18 @@
 """What commands share: a run is evaluated as it was trained, whatever the defaults are by now."""
 
+import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+from parts import load_parts
 from small_run import SMALL
 
 from koopdqn.app import cli
-from koopdqn.artifact import read_artifact
+from koopdqn.artifact import described, read_artifact, write_artifact
 from koopdqn.files import read_json
+from koopdqn.rl.algorithm1 import Trainer
 
 RECORD = Path(".hydra") / "overrides.yaml"
 EVALUATING = ("eval.episodes=3", "eval.dynamics=false", "eval.baselines=false")
@@ -106,11 +110,58 @@ def test_what_a_run_goes_on_with_is_recorded_and_what_it_refuses_is_not(begun: P
     assert (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8") == record
 
 
+def test_what_a_run_goes_on_with_is_recorded_before_it_learns(begun: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(begun, folder, ignore=shutil.ignore_patterns("checkpoints"))
+    monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    assert cli.main(["train", f"run={folder}", "train.max_steps=7778"]) == 130
+    assert "train.max_steps=7778" in (folder / RECORD).read_text(encoding="utf-8")
+
+
+def test_a_run_goes_on_with_no_other_intent_than_its_own(begun: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (begun / RECORD).read_bytes()
+    assert cli.main(["train", f"run={begun}", "trust=box"]) == 2
+    assert "trust: must be as the intent was fitted that the run holds already" in capsys.readouterr().err
+    assert (begun / RECORD).read_bytes() == before
+
+
+def test_the_command_that_goes_on_names_the_config_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my conf" / "task").mkdir(parents=True)
+    text = "defaults: [shelf, _self_]\nname: mine\n"
+    (tmp_path / "my conf" / "task" / "mine.yaml").write_text(text, encoding="utf-8")
+    monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    own = [f"--config-dir={tmp_path / 'my conf'}", "task=mine"]
+    assert cli.main(["train", *SMALL, *own, f"out={tmp_path}/run"]) == 130
+    told = capsys.readouterr().err.split("; koopdqn ")[1].partition(" goes on")[0]
+    assert shlex.split(told)[:2] == ["train", own[0]]
+    assert cli.main(shlex.split(told)) == 130
+
+
 def test_a_policy_holds_the_settings_that_its_intent_was_fitted_with(
     begun: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = (f"demos={begun}/demos.hdf5", f"intent={begun}/intent.npz", "trust=box", "train.max_steps=1500")
+    given += ("train.check_every=2",)
     assert cli.main(["train", *SMALL, *given, f"out={tmp_path / 'run'}"]) in (0, 1)
     assert "trust: as the intent was fitted, from which the config differs" in capsys.readouterr().err
     about = [read_artifact(folder / "policy.safetensors", "policy").about for folder in (begun, tmp_path / "run")]
     assert about[0]["trust"] == about[1]["trust"]
+    record = (tmp_path / "run" / RECORD).read_text(encoding="utf-8")
+    # An unfinished run of an earlier version holds the config's trust.
+    path = tmp_path / "run" / "checkpoints" / "latest.safetensors"
+    held = read_artifact(path, "checkpoint")
+    other = described(load_parts("trust=box", *SMALL).trust)
+    assert held.about["shaped_by"]["trust"] != other
+    held.about["shaped_by"]["trust"] = other
+    write_artifact(path, held)
+    assert cli.main(["train", f"run={tmp_path / 'run'}", "train.max_steps=1600"]) in (0, 1)
+    after = (tmp_path / "run" / RECORD).read_text(encoding="utf-8")
+    assert after.splitlines() == [
+        *(line for line in record.splitlines() if "max_steps" not in line),
+        "- train.max_steps=1600",
+    ]
+    held_now = (tmp_path / "run" / RECORD.with_name("config.yaml")).read_text(encoding="utf-8")
+    assert f"intent_file: {begun}/intent.npz" in held_now
+    assert "max_steps: 1600" in held_now

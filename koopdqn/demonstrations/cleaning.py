@@ -111,8 +111,10 @@ def repeats(item: Demonstration) -> np.ndarray:
 
 
 def without_outliers(item: Demonstration) -> Demonstration:
-    """Return a demonstration without the samples that are :func:`outlying`; itself where there are none."""
-    return _rows(item, ~outlying(item))
+    """Return a demonstration without the samples that are :func:`outlying`, until none is; itself where none was."""
+    while (bad := outlying(item)).any():
+        item = _rows(item, ~bad)
+    return item
 
 
 def jump_of(item: Demonstration) -> float:

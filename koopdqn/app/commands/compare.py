@@ -104,14 +104,15 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     trusted = f"trust_modules=[{','.join(config.inputs.trust_modules)}]"
     tree = composed(prepare("eval", [f"run={place}", trusted]).overrides)
     own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
-    # As it was trained, where today's defaults differ.
+    trained = read_trained(own, place)
+    # As it was trained, where today's defaults or intent=FILE differ.
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
+    known |= {"intent": described(trained.intent.settings), "trust": described(trained.intent.trust.settings)}
     keys = _flat({key: known[key] for key in _SHAPING if key in known})
     # Who answered is no part of the config that a trained run is read with.
     asked = {item.key: str(item.value) for item in read_record(place, "a training run") if item.root == "oracle"}
     told = read_report(place / TRAINING, "training report", TrainReport).get("oracle")
     keys |= {**asked, "oracle": told or asked.get("oracle", SCRIPTED)}
-    trained = read_trained(own, place)
     keys["corrected"] = "yes" if isinstance(trained.policy, PolicyAround) else "no"
     keys["demonstrations (SHA-256)"] = trained.demonstrations.digest()[:12]
     return _Run(label, place, own, trained, keys)

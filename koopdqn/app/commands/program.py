@@ -93,12 +93,16 @@ def program_of(config: Configuration, run: Path) -> tuple[Program, Scene]:
         )
     policy, workcell, reward = trained.policy, trained.workcell, trained.reward
     guard = Guard(workcell, config.guard, tube_of(policy, reward.trust), reward.model.start_frame)
+    asked = workcell, policy, settings, trained.step_limit
     try:
-        return make_program(workcell, policy, settings, trained.step_limit, placement, guard), workcell.scene
+        return make_program(*asked, placement, guard), workcell.scene
     except WorkFailedError as error:
         if placement is None:
             raise
-        raise WorkFailedError(f"{error}; program.frame=placed leaves it where demonstrations were moved to") from error
+        with contextlib.suppress(WorkFailedError):
+            make_program(*asked, None, guard)
+            error = WorkFailedError(f"{error}; program.frame=placed leaves it where demonstrations were moved to")
+        raise error from None
 
 
 def _check_formats(config: Configuration) -> None:
