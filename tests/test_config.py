@@ -304,7 +304,7 @@ class TestOverrides:
         (folder / "demos.hdf5").touch()
         given = ["robot.path='my arm.xml'", "trust_modules=[mine]"]
         assert going_on("train", folder) == ["train", f"run={folder}", *given]
-        prepared = prepare(*going_on("train", folder)[:1], going_on("train", folder)[1:])
+        prepared = prepare("train", going_on("train", folder)[1:])
         assert prepared.record == [*own[:1], *own[2:], "task=knife", f"out={folder}", "command=train", *given]
 
     def test_a_journal_is_named_in_short_or_in_full(self) -> None:

@@ -142,8 +142,8 @@ def test_the_command_that_goes_on_names_the_config_folder(
 def test_a_policy_holds_the_settings_that_its_intent_was_fitted_with(
     begun: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = (f"demos={begun}/demos.hdf5", f"intent={begun}/intent.npz", "trust=box", "train.max_steps=1500")
-    given += ("train.check_every=2",)
+    given = [f"demos={begun}/demos.hdf5", f"intent={begun}/intent.npz", "trust=box"]
+    given += ["train.max_steps=1500", "train.check_every=2"]
     assert cli.main(["train", *SMALL, *given, f"out={tmp_path / 'run'}"]) in (0, 1)
     assert "trust: as the intent was fitted, from which the config differs" in capsys.readouterr().err
     about = [read_artifact(folder / "policy.safetensors", "policy").about for folder in (begun, tmp_path / "run")]

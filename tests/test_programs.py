@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.spatial.distance import cdist
 
 from koopdqn import pose
 from koopdqn.app.api import load_config
+from koopdqn.app.commands import program as command
 from koopdqn.app.commands.program import export_program
 from koopdqn.demonstrations.dataset import Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
@@ -281,6 +283,23 @@ def test_other_files_hold_the_same_samples(tmp_path: Path) -> None:
     assert len(message.points) == len(given.motion.joints)  # type: ignore[attr-defined]
     with pytest.raises(BadInputError, match="bag must be new"):
         write_bag(tmp_path / "bag", given)
+
+
+@pytest.mark.parametrize("helps", [True, False])
+def test_leaving_a_program_where_it_was_learned_is_advised_where_that_helps(
+    monkeypatch: pytest.MonkeyPatch, helps: bool
+) -> None:
+    def refused(*arguments: object) -> None:
+        if arguments[4] is not None or not helps:
+            raise WorkFailedError("out of reach")
+
+    monkeypatch.setattr(command, "read_trained", lambda *_: MagicMock())
+    for name in ("Guard", "tube_of"):
+        monkeypatch.setattr(command, name, MagicMock())
+    monkeypatch.setattr(command, "make_program", refused)
+    with pytest.raises(WorkFailedError) as error:
+        command.program_of(load_config(), Path("run"))
+    assert ("program.frame=placed leaves it" in str(error.value)) == helps
 
 
 def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
