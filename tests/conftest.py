@@ -46,6 +46,7 @@ _UNDRAWN = (
     "test_compare",
     "test_interruption",
     "test_own_data",
+    "test_pipeline",
     "test_report",
     "test_schemas",
     "test_threads",
@@ -56,6 +57,8 @@ NO_OPENGL = "OpenGL's libraries are missing here, see `koopdqn doctor`"
 
 # They take longest; begun last, they would leave the other workers idle.
 _LONGEST = (
+    "test_pipeline",
+    "test_examples",
     "test_untrusted_run",
     "test_interruption",
     "test_docs",
