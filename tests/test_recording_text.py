@@ -262,6 +262,17 @@ def test_of_two_orientations_that_differ_one_is_read_and_told(tmp_path: Path, na
         assert any("apart, and the first is read" in reason for reason in read.reasons) is told
 
 
+def test_what_holds_for_all_demonstrations_is_told_once_with_the_largest(tmp_path: Path) -> None:
+    def told(*scales: float) -> list[str]:
+        rows = [(np.full(ROWS, scale), TIMES, scale * P, QUATERNION, scale * VECTOR) for scale in scales]
+        columns = [np.concatenate(each) for each in zip(*rows, strict=True)]
+        path = written(tmp_path / "log.csv", "demo t x y z qw qx qy qz rx ry rz", *columns)
+        return [each for each in load(path, NOTHING, None).reasons if "largest" in each or "apart" in each]
+
+    (largest, _), (_, apart) = told(0.9), told(0.5)
+    assert told(0.7, 0.5, 0.9) == [largest, apart]
+
+
 WORD = st.from_regex(r"[a-z]{2,6}", fullmatch=True)
 
 
