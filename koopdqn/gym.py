@@ -5,7 +5,7 @@ continuous actions, as ``"koopdqn/ShelfContinuous-v0"``, and ``gymnasium.make_ve
 at once. All take the keywords of :func:`environment_parts`, and ``render_mode``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -63,8 +63,8 @@ def make_vector(num_envs: int, task: str, **keywords: Any) -> "KoopmanVectorEnv"
 
 def environment_parts(
     task: str,
-    overrides: str | Sequence[str] = (),
-    demonstrations: str | Path | Sequence[str | Path] | None = None,
+    overrides: str | Iterable[str] = (),
+    demonstrations: str | Path | Iterable[str | Path] | None = None,
     oracle: "Oracle | None" = None,
     config_dir: str | Path | None = None,
     actions: str = "table1",
@@ -90,7 +90,7 @@ def environment_parts(
     from koopdqn.app import api
 
     more = [overrides] if isinstance(overrides, str) else overrides
-    if not isinstance(more, Sequence):
+    if not isinstance(more, Iterable):
         raise BadInputError(f"overrides: must be a text such as 'seed=3', or several, found {shown(overrides)}")
     config = api.load_config(
         f"task={task}", f"actions={actions}", *_demos(demonstrations), *more, config_dir=config_dir
@@ -116,13 +116,13 @@ def _fitted(config: "Configuration") -> "tuple[Demonstrations, Fitted]":
     return _FITTED[key]
 
 
-def _demos(files: str | Path | Sequence[str | Path] | None) -> list[str]:
+def _demos(files: str | Path | Iterable[str | Path] | None) -> list[str]:
     """Return the override that names files of demonstrations, in Hydra's grammar."""
     if files is None:
         return []
     from koopdqn.app.hydra.overrides import literal
 
     named = [files] if isinstance(files, str | Path) else files
-    if not isinstance(named, Sequence):
+    if not isinstance(named, Iterable):
         raise BadInputError(f"demonstrations: must be a file or several, found {named!r}")
     return [f"demos=[{','.join(literal(str(each)) for each in named)}]"]

@@ -42,13 +42,17 @@ def make(position: ArrayLike, quaternion: ArrayLike) -> Array:
     return pose
 
 
-def check(poses: ArrayLike, what: str) -> None:
-    """Check poses that come from outside; ``what`` names them in the message.
+def checked(poses: ArrayLike, what: str) -> Array:
+    """Return poses (N, 7) that come from outside as an array; ``what`` names them in the message.
 
     Raises:
-        BadInputError: they are of another shape than (N, 7) or not finite, or a quaternion has not unit length.
+        BadInputError: they are no numbers, of another shape or not finite, or a quaternion has not unit length.
     """
-    given = np.asarray(poses, dtype=float)
+    try:
+        given = np.asarray(poses, dtype=float)
+    except (TypeError, ValueError) as error:
+        found = " ".join(repr(poses).split())[:80]
+        raise BadInputError(f"{what} must be numbers of shape (N, 7), found {found}") from error
     if given.ndim != 2 or given.shape[1] != 7:
         raise BadInputError(f"{what} must have shape (N, 7), found {given.shape}")
     if not np.isfinite(given).all():
@@ -59,6 +63,7 @@ def check(poses: ArrayLike, what: str) -> None:
         raise BadInputError(
             f"{what} must hold quaternions of length 1 within {_LENGTH_TOLERANCE}, found {length[off][0]:g}"
         )
+    return given
 
 
 def normalized(quaternion: ArrayLike) -> Array:

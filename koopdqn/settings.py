@@ -185,10 +185,15 @@ def _to_path(value: object) -> object:
     return value
 
 
-def _in_metres(values: tuple[float, float, float]) -> tuple[float, float, float]:
-    if max(map(abs, values)) > FARTHEST_M:
-        raise ValueError(f"must be in metres and within {FARTHEST_M:g} m")
-    return values
+def in_metres(farthest: float) -> AfterValidator:
+    """Return a validator that refuses lengths [m] of which one is over the farthest, as millimetres would be."""
+
+    def checked(values: tuple[float, float, float]) -> tuple[float, float, float]:
+        if max(map(abs, values)) > farthest:
+            raise ValueError(f"must be in metres and within {farthest:g} m")
+        return values
+
+    return AfterValidator(checked)
 
 
 Positive = Annotated[float, Field(gt=0)]
@@ -209,7 +214,7 @@ Interval = Annotated[tuple[float, float], BeforeValidator(_listed("numbers", 2))
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("numbers", 3))]
 """Three numbers, as a YAML list."""
-Metres3 = Annotated[Vector3, AfterValidator(_in_metres)]
+Metres3 = Annotated[Vector3, in_metres(FARTHEST_M)]
 """Three lengths [m], as a YAML list, such as a position; what can only be millimetres is refused."""
 Vector4 = Annotated[tuple[float, float, float, float], BeforeValidator(_listed("numbers", 4))]
 """Four numbers, as a YAML list."""

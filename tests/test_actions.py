@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -6,7 +8,16 @@ from parts import with_fields
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.tasks.actions import ACTIONS, COUNT, ROTATING, excess, legal_actions, reached_poses, within_tolerance
+from koopdqn.tasks.actions import (
+    ACTIONS,
+    COUNT,
+    ROTATING,
+    checked_indices,
+    excess,
+    legal_actions,
+    reached_poses,
+    within_tolerance,
+)
 from koopdqn.tasks.shelf import ShelfTask
 
 unit_vectors = (
@@ -104,3 +115,8 @@ def test_comparing_keeps_metres_and_radians_apart(
     assert excess(there, shelf_task.goal, shelf_task)[0] == pytest.approx(wanted, abs=1e-9)
     if abs(wanted - 1) > 1e-9:
         assert within_tolerance(there, shelf_task.goal, shelf_task)[0] == (off <= 0.002 and turned <= 0.01)
+
+
+@pytest.mark.parametrize("kind", [np.int8, np.uint64, np.float32, object])
+def test_whole_numbers_of_any_kind_are_actions(kind: Any) -> None:
+    assert checked_indices(np.array([8, 3], dtype=kind), 2).tolist() == [8, 3]

@@ -103,6 +103,8 @@ def test_a_jump_that_stays_is_told() -> None:
     poses[100:, 0] += 0.15
     notes = RECIPE.derive(shown(recorded(poses))).notes
     assert any("demonstration 0 jumps by 150 mm" in note for note in notes)
+    held_out = RECIPE.derive(shown(recorded(arc()), recorded(poses)))
+    assert not any("jumps" in note for note in held_out.notes)
 
 
 @pytest.mark.parametrize("holdout", [1, 5])

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
@@ -298,6 +298,11 @@ def test_keywords_that_cannot_be_are_refused(env_parts: EnvironmentParts, keywor
 def test_keywords_of_another_class_are_refused(keywords: dict[str, Any], words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         gymnasium.make("koopdqn/Shelf-v0", **keywords)
+
+
+@pytest.mark.parametrize("several", [np.array, set, iter])
+def test_overrides_may_be_any_texts(several: Callable[[list[str]], Any]) -> None:
+    assert koopdqn.gym.environment_parts("shelf", several(list(SMALL))).step_limit > 0
 
 
 def test_misuse_is_told(env_parts: EnvironmentParts) -> None:

@@ -81,6 +81,17 @@ def test_a_step_that_stays_is_a_jump(arm: Arm) -> None:
     assert "50 mm from one sample to the next, far faster than the rest, in 0" in line.text
 
 
+@pytest.mark.parametrize("after_m", [0.0, 0.02])
+def test_a_fast_smooth_motion_between_rests_or_slow_ones_is_no_jump(arm: Arm, after_m: float) -> None:
+    rest, share = np.zeros(100), np.linspace(0.0, 1.0, 10)
+    way = 0.3 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    along = np.concatenate([rest, way, 0.3 + after_m * np.linspace(0.0, 1.0, 101)[1:]])
+    position = np.array([0.45, -0.1, 0.35]) + np.random.default_rng(0).normal(scale=0.0002, size=(210, 3))
+    position[:, 1] += along
+    item = Demonstration(0.1 * np.arange(210.0), pose.make(position, [1.0, 0.0, 0.0, 0.0]))
+    assert describe(item, clean(item, steps()), arm, None).jump_mm == 0.0
+
+
 def test_a_motion_that_begins_and_ends_slowly_is_not_hurried_where_rest_is_cut() -> None:
     share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 200))
     position = np.stack([np.full(200, 0.45), 0.3 * share, np.full(200, 0.35)], axis=1)

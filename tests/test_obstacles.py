@@ -111,15 +111,22 @@ def test_what_is_nearer_than_the_clearance_touches(shape: dict[str, Any]) -> Non
         ),
         ({"shape": "mesh", "radius_m": None, "file": "nowhere.stl"}, "found no file"),
         ({"shape": "mesh", "radius_m": None}, "a mesh must have file or vertices_m, found none"),
-        ({"center_m": (577, -85, 590)}, "center_m\n.*must be in metres and within 10 m"),
+        ({"center_m": (577, -85, 590)}, "center_m\n.*must be in metres and within 100 m"),
         ({"radius_m": 30}, "radius_m\n.*less than or equal to 10"),
-        ({"shape": "box", "radius_m": None, "size_m": (60, 60, 60)}, "size_m\n.*must be in metres and within 10 m"),
+        ({"shape": "box", "radius_m": None, "size_m": (600, 60, 60)}, "size_m\n.*must be in metres and within 100 m"),
         ({"quaternion": (1.0, 1.0, 0.0, 0.0)}, "quaternion must have length 1"),
     ],
 )
 def test_an_obstacle_that_breaks_a_rule_is_refused(changed: dict[str, Any], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         Obstacle.model_validate({**ON_THE_WAY, **changed})
+
+
+def test_a_floor_and_a_wall_may_be_farther_than_any_arm() -> None:
+    floor = {"shape": "box", "radius_m": None, "size_m": (12.0, 12.0, 0.02), "center_m": (0.0, 0.0, -0.6)}
+    wall = {"shape": "box", "radius_m": None, "size_m": (0.1, 20.0, 3.0), "center_m": (-11.0, 0.0, 1.5)}
+    things = tuple(Obstacle.model_validate({**ON_THE_WAY, **each}) for each in (floor, {**wall, "name": "wall"}))
+    build_scene(PARTS.task.model_copy(update={"obstacles": things}), PARTS.arm)
 
 
 def test_a_mesh_file_becomes_the_corners_of_its_hull(tmp_path: Path) -> None:

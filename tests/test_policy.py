@@ -48,6 +48,16 @@ def test_strange_poses_are_refused(path: Path, parts: Parts) -> None:
         policy(pose, pose[None])
     with pytest.raises(BadInputError, match="starts must be finite, found NaN"):
         policy(pose[None], np.nan * pose[None])
+    for odd in ([[1.0], [1.0, 2.0]], [["a"] * 7]):
+        with pytest.raises(BadInputError, match=r"poses must be numbers of shape \(N, 7\), found \[\["):
+            policy(odd, pose[None])  # type: ignore[arg-type]
+
+
+def test_poses_may_be_lists(path: Path, parts: Parts) -> None:
+    policy, _ = read_policy(path, parts.task)
+    poses = parts.task.draw_starts(np.random.default_rng(1), 5)
+    found = policy(poses.tolist(), poses.tolist())
+    np.testing.assert_array_equal(found, policy(poses, poses))
 
 
 def following(parts: Parts) -> StartFrame:

@@ -1,5 +1,6 @@
 """Text of many loggers is the same motion; what it does not say is asked for by name."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,12 @@ def test_a_decimal_comma_and_no_header(tmp_path: Path, units: str) -> None:
     same(found, POSES, 1e-5)
 
 
+def test_why_degrees_were_taken_is_told(tmp_path: Path) -> None:
+    for name, header in (("as KUKA writes A B C", "A B C"), ("as a name says", "A_deg B_deg C_deg")):
+        path = written(tmp_path / "log.csv", f"t x y z {header}", TIMES, P, np.degrees(ANGLES[:, ::-1]))
+        assert any(each.endswith(f"in deg, {name}") for each in load(path, NOTHING, None).reasons)
+
+
 def test_declared_order_of_columns(tmp_path: Path) -> None:
     path = written(tmp_path / "log.dat", None, TIMES, QUATERNION, P, TIMES)
     (found,) = poses_in(path, columns=["t", "qw", "qx", "qy", "qz", "x", "y", "z", "_"])
@@ -148,6 +155,7 @@ def test_declared_order_of_columns(tmp_path: Path) -> None:
         ("t x y z qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("import.units", "too far in metres")),
         ("t tx ty tz qw qx qy qz", (TIMES, 100 * P, QUATERNION), ("import.units",)),
         ("t pos_x pos_y pos_z roll pitch yaw", (TIMES, P, np.degrees(ANGLES)), ("import.angles",)),
+        ("t X Y Z A B C", (TIMES, P, ANGLES[:, ::-1]), ("import.angles", "as KUKA writes A B C in deg")),
         ("t pos_x pos_y pos_z rx ry rz", (TIMES, P, np.degrees(ANGLES)), ("import.rotation",)),
         ("t pos_x pos_y pos_z rot_x rot_y rot_z", (TIMES, P, VECTOR), ("import.rotation",)),
         ("t pos_x pos_y pos_z", (TIMES, P), ("import.orientation",)),
@@ -254,6 +262,17 @@ def test_of_two_orientations_that_differ_one_is_read_and_told(tmp_path: Path, na
         assert any("apart, and the first is read" in reason for reason in read.reasons) is told
 
 
+def test_what_holds_for_all_demonstrations_is_told_once_with_the_largest(tmp_path: Path) -> None:
+    def told(*scales: float) -> list[str]:
+        rows = [(np.full(ROWS, scale), TIMES, scale * P, QUATERNION, scale * VECTOR) for scale in scales]
+        columns = [np.concatenate(each) for each in zip(*rows, strict=True)]
+        path = written(tmp_path / "log.csv", "demo t x y z qw qx qy qz rx ry rz", *columns)
+        return [each for each in load(path, NOTHING, None).reasons if "largest" in each or "apart" in each]
+
+    (largest, _), (_, apart) = told(0.9), told(0.5)
+    assert told(0.7, 0.5, 0.9) == [largest, apart]
+
+
 WORD = st.from_regex(r"[a-z]{2,6}", fullmatch=True)
 
 
@@ -264,6 +283,15 @@ def test_a_name_is_the_same_in_any_case_and_with_any_separator(
     name = sign.join([*words, axis]) + (f" [{unit}]" if unit else "")
     assert parsed(name) == parsed(name.upper()) == parsed(name.replace(sign, "_"))
     assert parsed(name).unit == unit
+
+
+@pytest.mark.parametrize(("first", "second", "named"), [("A", "B", "aA"), ("armA", "armB", ["arm_a", "armA", "arm_A"])])
+def test_a_pose_is_named_in_any_case(tmp_path: Path, first: str, second: str, named: Sequence[str]) -> None:
+    names = " ".join(f"{arm}_{axis}" for arm in (first, second) for axis in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    path = written(tmp_path / "log.csv", f"t {names}", TIMES, POSES, POSES[::-1])
+    for name in named:
+        (found,) = poses_in(path, pose=name)
+        same(found, POSES)
 
 
 @given(st.permutations(range(8)), st.sampled_from([",", ";", "\t"]))

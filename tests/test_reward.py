@@ -115,6 +115,12 @@ def test_an_action_that_changes_nothing_is_wrong_even_at_the_goal(reward: Intent
     assert evaluation.source[0, 1] == RULE
 
 
+def test_poses_may_be_lists(reward: IntentReward, trajectories: list[Array]) -> None:
+    poses, steps = beside(trajectories, 2, 5, 0.02)
+    listed = reward.evaluate_actions(poses.tolist(), steps.tolist(), poses.tolist())
+    np.testing.assert_array_equal(listed.reward, reward.evaluate_actions(poses, steps, poses).reward)
+
+
 def test_knowing_is_having_a_source_other_than_asking(reward: IntentReward, trajectories: list[Array]) -> None:
     poses, steps = beside(trajectories, 2, 100, 0.02)
     evaluation = reward.evaluate_actions(poses, steps)

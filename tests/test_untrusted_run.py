@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import shutil
+import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -251,6 +252,24 @@ def test_a_module_named_on_the_command_line_is_trusted(
         pass
     with trusting(["lab"]):
         assert koopdqn.read_policy(policy, task)[0].task == task
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("raise RuntimeError('boom')", "found lab.tasks, whose package raises RuntimeError: boom"),
+        ("import absent", "found lab.tasks, whose package raises ModuleNotFoundError: No module named 'absent'"),
+        ("", "found none called lab.tasks; the folder it lies in must be on PYTHONPATH"),
+    ],
+)
+def test_a_trusted_module_that_cannot_be_found_is_told_with_the_reason(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], code: str, said: str
+) -> None:
+    (tmp_path / "lab").mkdir()
+    (tmp_path / "lab" / "__init__.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "lab", raising=False)
+    assert refused(capsys, "eval", f"run={run}", "trust_modules=lab.tasks").endswith(said)
 
 
 def test_what_a_user_gives_again_need_not_lie_in_the_run(run: Path, victim: Path) -> None:

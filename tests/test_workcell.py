@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -5,6 +6,7 @@ import pytest
 from parts import Parts, with_fields
 
 from koopdqn.errors import BadInputError
+from koopdqn.tasks.rollout import STEP_LIMIT, roll_out
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
@@ -39,11 +41,12 @@ def test_a_workcell_in_which_the_task_cannot_be_done_is_refused(
         ("rule", lambda task: "none", "be a text, as a property, found <bound method"),
         ("turned", lambda task, share: 0.5, r"return finite shares of shape \(101,\), found 0.5"),
         ("turned", lambda task, share: share[:, None], r"found an array of float64 of shape \(101, 1\)"),
-        ("turned", lambda task, share: np.nan * share, r"finite shares .* found an array .* nan, nan"),
+        ("turned", lambda task, share: np.nan * share, r"finite shares of shape \(101,\), found nan$"),
         ("rule_broken", lambda task, poses: None, r"return booleans of shape \(\d+,\), one a pose, found None"),
         ("rule_broken", lambda task, poses: poses[:, :1] > 9, r"found an array of bool of shape \(\d+, 1\)"),
         ("rule_broken", lambda task, poses: poses[:, 2] - 0.9, "one a pose, found an array of float64"),
-        ("rule_broken", lambda task, poses: np.zeros(3, dtype=bool), r"found an array of bool of shape \(3,\)"),
+        ("rule_broken", lambda task, poses: np.zeros(3, dtype=bool), r"found an array of bool of shape \(3,\)$"),
+        ("rule_broken", lambda task, poses: 2 * (poses[:, 2] < 9), "one a pose, found 2$"),
         ("measures", lambda task, path, step_seconds: 1.0, "return a dict of a number by each name, found 1.0"),
         ("measures", lambda task, path, step_seconds: {"x": path[0]}, "a number by each name, found {'x': array"),
     ],
@@ -54,3 +57,14 @@ def test_what_a_method_of_ones_own_returns_is_checked_before_any_work(
     cls: Any = type("Own", (ShelfTask,), {name: own, "__module__": __name__})
     with pytest.raises(BadInputError, match=f"task shelf: {name} must .*{said}"):
         open_workcell(cls.model_construct(**dict(parts.task)), parts.arm)
+
+
+@pytest.mark.parametrize("kind", [np.array, list, tuple, lambda broken: broken.astype(int)])
+def test_a_rule_may_be_told_as_a_list_or_as_0_and_1(parts: Parts, kind: Callable[[np.ndarray], Any]) -> None:
+    own = {"rule_broken": lambda task, poses: kind(poses[:, 2] > 9.0), "__module__": __name__}
+    cls: Any = type("Own", (ShelfTask,), own)
+    cell = open_workcell(cls.model_construct(**dict(parts.task)), parts.arm)
+    start = cell.task.nominal_start[None]
+    joints = np.array([cell.reachability.posture])
+    (episode,) = roll_out(lambda poses, starts: np.zeros(1, dtype=int), cell.task, cell.reachability, start, joints, 3)
+    assert episode.outcome == STEP_LIMIT

@@ -21,7 +21,7 @@ _REST_S: Final = 0.2
 # is also farther from both neighbours than twice what lies between them and three usual steps; at a corner it is not.
 _OUT_M, _OUT_RAD, _USUAL = 0.005, 0.05, 6.0
 _MOST_TIMES: Final = 10.0
-# A longer step [m] is a jump if it is so many times as fast as nearly all [%] that move at all.
+# A longer step [m] is a jump if it is so many times as fast as both beside it and as nearly all [%] that move at all.
 _JUMP_M, _JUMP, _NEARLY_ALL = 0.02, 5.0, 95.0
 
 
@@ -118,11 +118,16 @@ def without_outliers(item: Demonstration) -> Demonstration:
 
 
 def jump_of(item: Demonstration) -> float:
-    """Return the largest step [m] that is made far faster than the rest of the motion; 0 if there is none."""
+    """Return the largest step [m] that is made far faster than those beside it and nearly all others; 0 if none is.
+
+    A fast motion between slow ones gathers speed over several samples, a jump does not.
+    """
     moved = pose.position_distance(item.poses[1:], item.poses[:-1])
     speed = moved / np.diff(item.times)
     usual = np.percentile(speed[speed > 0.0], _NEARLY_ALL) if (speed > 0.0).any() else 0.0
-    return float(moved[(moved > _JUMP_M) & (speed > _JUMP * usual)].max(initial=0.0))
+    padded = np.pad(speed, 1)
+    rest = np.maximum(usual, np.maximum(padded[:-2], padded[2:]))
+    return float(moved[(moved > _JUMP_M) & (speed > _JUMP * rest)].max(initial=0.0))
 
 
 def outlying(item: Demonstration) -> np.ndarray:

@@ -119,7 +119,7 @@ class Derivation(TaskChoice):
         task = self._task(training, goal, turning, kept)
         notes = (
             _about_recordings(cut, smoothed, kept),
-            *_about_jumps(demonstrations.items),
+            *_about_jumps([each.item for each in cut[: len(learned)]]),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
             *_about_turns_away(task),

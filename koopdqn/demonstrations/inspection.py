@@ -9,7 +9,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.demonstrations.cleaning import Cleaned, jump_of, without_outliers
 from koopdqn.demonstrations.dataset import Demonstration
-from koopdqn.demonstrations.preprocess import noise_of
+from koopdqn.demonstrations.preprocess import noise_of, trim_idle
 from koopdqn.demonstrations.schema import Finding, InspectedDemonstration, Pair
 from koopdqn.paths import arc_lengths, mean_poses, to_count, way_lengths
 from koopdqn.pose import POSITION, Array
@@ -106,7 +106,7 @@ def describe(raw: Demonstration, cleaned: Cleaned, arm: Arm, deviation_mm: float
         idle_after_seconds=cleaned.after,
         repeated=cleaned.repeated,
         outliers=cleaned.outliers,
-        jump_mm=1e3 * jump_of(without_outliers(raw)),
+        jump_mm=1e3 * jump_of(trim_idle(without_outliers(raw)).item),
         noise_mm=1e3 * noise_m,
         noise_deg=float(np.degrees(noise_rad)),
         largest_gap=float(steps.max() / np.median(steps)),

@@ -30,7 +30,8 @@ class InspectedDemonstration(ReportModel):
     repeated: int = Field(description="samples that repeat the one before while the clock runs")
     outliers: int = Field(description="single samples far off their neighbours")
     jump_mm: float = Field(
-        description="the longest step that is over five times as fast as nearly all others; 0 if there is none"
+        description="the longest step that is over five times as fast as those beside it and nearly all others; 0 if"
+        " there is none"
     )
     noise_mm: float = Field(description="standard deviation of the sensor noise of positions")
     noise_deg: float = Field(description="the same of orientations")

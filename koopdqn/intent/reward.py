@@ -154,10 +154,9 @@ class IntentReward:
         Raises:
             BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.
         """
-        pose.check(poses, "poses")
-        if starts is not None:
-            pose.check(starts, "starts")
-        return self.evaluated(poses, steps, starts, twists)
+        poses = pose.checked(poses, "poses")
+        starts = None if starts is None else pose.checked(starts, "starts")
+        return self.evaluated(poses, np.asarray(steps), starts, twists)
 
     def evaluated(
         self, poses: Array, steps: np.ndarray, starts: Array | None = None, twists: Array | None = None

@@ -170,8 +170,8 @@ class FitReport(ReportModel):
     length_ratio: NonNegative | None = Field(
         default=None,
         description="how long the model's own way to the goal is, in shares of the demonstration from the same start, a"
-        " median: where demonstrations come back over the same place only the last passage is learned; null where an"
-        " earlier koopdqn wrote it",
+        " median, both until they are within the goal's tolerance: where demonstrations come back over the same place"
+        " only the last passage is learned; null where an earlier koopdqn wrote it",
     )
     ridge: NonNegative = Field(description="λ of the fitted model")
     regularisation: list[RidgeError] = Field(

@@ -15,7 +15,7 @@ from koopdqn.programs.timing import Limits, Motion, smoothed, timed
 from koopdqn.robot.arm import Arm
 from koopdqn.safety.guard import Guard
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import Task, breaks_rule
 from koopdqn.tasks.workcell import Workcell
 
 _SMOOTHING: Final = (1.0, 0.5, 0.25)
@@ -210,7 +210,7 @@ def check_clear(guard: Guard, motion: Motion) -> None:
 def check_rule(task: Task, motion: Motion, placement: Placement | None) -> None:
     """Raise WorkFailedError where a sample breaks the task's own rule, which smoothing could bring about."""
     poses = motion.poses if placement is None else placement.poses(motion.poses)
-    broken = task.rule_broken(poses)
+    broken = breaks_rule(task, poses)
     if broken.any():
         row = int(broken.argmax())
         raise WorkFailedError(

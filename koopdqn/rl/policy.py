@@ -71,9 +71,7 @@ class Policy:
         Raises:
             BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.
         """
-        pose.check(poses, "poses")
-        pose.check(starts, "starts")
-        values = self.values(poses, starts)
+        values = self.values(pose.checked(poses, "poses"), pose.checked(starts, "starts"))
         return in_balls(values.astype(np.float64)) if self.continuous else np.asarray(values.argmax(axis=1))
 
     def values(self, poses: Array, starts: Array) -> np.ndarray:

@@ -17,6 +17,7 @@ from koopdqn.settings import NonNegative, NonNegativeInt, Positive, Settings
 from koopdqn.tasks.actions import checked_indices, checked_twists
 from koopdqn.tasks.rollout import RULE_BROKEN, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.task import breaks_rule
 from koopdqn.tasks.workcell import COLLISION, REASONS, Motion, Workcell
 
 SPEED: Final = "speed"
@@ -117,7 +118,7 @@ class Guard:
         """
         motions = self.workcell.reachability.move_batch(reached, joints)
         away = np.zeros(7) if moved is None else np.concatenate([moved, np.zeros(4)])
-        broken = self.workcell.task.rule_broken(reached - away)
+        broken = breaks_rule(self.workcell.task, reached - away)
         too_far = self._too_far(reached - away, before - away, starts - away)
         for row, motion in enumerate(motions):
             if motion.joints is None:

@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, Strict, model_validator
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
-from koopdqn.settings import FARTHEST_M, Metres3, Settings, Vector4, plain, shown, validate
+from koopdqn.settings import FARTHEST_M, Metres3, Settings, Vector3, Vector4, in_metres, plain, shown, validate
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -23,6 +23,9 @@ _NEEDED = {
 _MEASURES = ("size_m", "radius_m", "height_m", "vertices_m")
 # A convex hull of more corners says nothing that matters for keeping clear, and every artifact holds them.
 _MOST_VERTICES = 500
+# A floor and a wall reach farther than any arm [m].
+_FARTHEST_M = 100.0
+_Far3 = Annotated[Vector3, in_metres(_FARTHEST_M)]
 
 
 class Obstacle(Settings):
@@ -33,11 +36,11 @@ class Obstacle(Settings):
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
     shape: Literal["box", "sphere", "cylinder", "mesh"]
-    center_m: Metres3 = Field(description="in UR Base; of a mesh, the origin of its vertices [m]")
+    center_m: _Far3 = Field(description="in UR Base; of a mesh, the origin of its vertices [m]")
     quaternion: Vector4 = Field(default=(1.0, 0.0, 0.0, 0.0), description="w, x, y, z in UR Base")
-    size_m: Metres3 | None = Field(default=None, description="edges of a box [m]")
+    size_m: _Far3 | None = Field(default=None, description="edges of a box [m]")
     radius_m: float | None = Field(default=None, gt=0, le=FARTHEST_M, description="of a sphere or a cylinder [m]")
-    height_m: float | None = Field(default=None, gt=0, le=FARTHEST_M, description="of a cylinder along its z axis [m]")
+    height_m: float | None = Field(default=None, gt=0, le=_FARTHEST_M, description="of a cylinder along its z axis [m]")
     file: None = Field(default=None, exclude=True, description="an STL or OBJ file of a mesh, read into vertices_m")
     vertices_m: Annotated[tuple[Metres3, ...], Strict(False)] | None = Field(
         default=None, description="points of a mesh, in its own frame [m]"

@@ -9,7 +9,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import reached_by
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import Task, breaks_rule
 from koopdqn.tasks.workcell import REASONS, Motion, Reachability
 
 SUCCESS: Final = "success"
@@ -148,7 +148,7 @@ def _advance(
     stuck = pose.position_distance(reached, before) == 0
     if stuck.any():
         stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) == 0
-    ends = np.select([task.rule_broken(reached), task.reached(reached), stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
+    ends = np.select([breaks_rule(task, reached), task.reached(reached), stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
     for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):
         if motion.joints is None:
             run.outcome, run.detail = motion.reason, motion.detail

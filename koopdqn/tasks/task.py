@@ -307,6 +307,11 @@ def quaternions_in(frame: Array, angles: Array) -> Array:
     return pose.multiply(left, pose.multiply(pose.from_roll_pitch_yaw(angles), pose.conjugate(right)))
 
 
+def breaks_rule(task: Task, poses: Array) -> np.ndarray:
+    """Return :meth:`Task.rule_broken` of poses (N, 7) as booleans (N,), of a list or of 0 and 1 too."""
+    return np.asarray(task.rule_broken(poses), dtype=bool)
+
+
 def demonstrator_next_poses(task: Task, poses: Array, starts: Array) -> Array:
     """Return the demonstrator's next poses (N, 7) from poses (N, 7) of episodes that began at ``starts`` (N, 7)."""
     frame = task.person_frame

@@ -1,9 +1,9 @@
 """The workcell: a task, the arm that does it, the scene it stands in, and which motions the arm can make there."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -256,13 +256,13 @@ def _check_methods(task: Task, step_seconds: float) -> None:
         raise _returns(task, "rule", "be a text, as a property", task.rule)
     share = np.linspace(0.0, 1.0, 101)
     turned = task.turned(share)
-    if not _is_array(turned, share.shape, "fiu") or not np.isfinite(turned).all():
-        raise _returns(task, "turned", f"return finite shares of shape {share.shape}", turned)
+    if odd := _odd(turned, share.shape, "fiu", np.isfinite):
+        raise _returns(task, "turned", f"return finite shares of shape {share.shape}", *odd)
     path = task.waypoint_path.poses
     broken = task.rule_broken(path)
-    broken = np.asarray(broken) if isinstance(broken, list) else broken
-    if not _is_array(broken, (len(path),), "b"):
-        raise _returns(task, "rule_broken", f"return booleans of shape {(len(path),)}, one a pose", broken)
+    broken = np.asarray(broken) if isinstance(broken, list | tuple) else broken
+    if odd := _odd(broken, (len(path),), "biu", lambda values: (values == 0) | (values == 1)):
+        raise _returns(task, "rule_broken", f"return booleans of shape {(len(path),)}, one a pose", *odd)
     measures = task.measures(path, step_seconds)
     values = measures.values() if isinstance(measures, Mapping) else [None]
     if not all(_is_array(np.asarray(each), (), "biuf") for each in values):
@@ -273,9 +273,14 @@ def _is_array(found: object, shape: tuple[int, ...], kinds: str) -> bool:
     return isinstance(found, np.ndarray) and found.shape == shape and found.dtype.kind in kinds
 
 
+def _odd(found: Any, shape: tuple[int, ...], kinds: str, sound: Callable[[Array], np.ndarray]) -> list[Any]:
+    """Return what is found if it is no such array, or the first of its values that is not sound; else nothing."""
+    return list(found[~sound(found)][:1].tolist()) if _is_array(found, shape, kinds) else [found]
+
+
 def _returns(task: Task, name: str, rule: str, found: object) -> BadInputError:
-    kind = f"an array of {found.dtype} of shape {found.shape}, " if isinstance(found, np.ndarray) else ""
-    return BadInputError(f"task {task.name}: {name} must {rule}, found {kind}{shown(found)}")
+    array = f"an array of {found.dtype} of shape {found.shape}" if isinstance(found, np.ndarray) else None
+    return BadInputError(f"task {task.name}: {name} must {rule}, found {array or shown(found)}")
 
 
 def build_scene(task: Task, arm: Arm) -> "Scene":

@@ -54,19 +54,20 @@ def _to_modules(value: object) -> object:
     if not all(isinstance(each, str) and all(part.isidentifier() for part in each.split(".")) for each in values):
         raise ValueError("must be the dotted name of a module, or a list of them in brackets")
     for each in values:
-        if not _can_be_found(each):
-            raise ValueError(
-                f"must name modules that can be found, found none called {each}; the folder it lies in must be on"
-                " PYTHONPATH"
-            )
+        _check_found(each)
     return tuple(values)
 
 
-def _can_be_found(module: Any) -> bool:
+def _check_found(module: Any) -> None:
+    rule = "must name modules that can be found"
     try:
-        return module in sys.modules or importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:
-        return False
+        if module in sys.modules or importlib.util.find_spec(module) is not None:
+            return
+    # To find what lies in a package imports that, and a user's own may raise anything then.
+    except Exception as error:
+        if not isinstance(error, ModuleNotFoundError) or not f"{module}.".startswith(f"{error.name}."):
+            raise ValueError(f"{rule}, found {module}, whose package raises {type(error).__name__}: {error}") from error
+    raise ValueError(f"{rule}, found none called {module}; the folder it lies in must be on PYTHONPATH")
 
 
 Sources = Annotated[tuple[str, ...], BeforeValidator(_to_sources)]

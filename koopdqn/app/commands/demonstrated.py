@@ -95,8 +95,8 @@ def _check_followed(config: Configuration, derived: Derived) -> None:
             )
         if blocked:
             console.note(
-                f"task {task.name}: the arm cannot follow demonstration {index}, kept for evaluation, stopped after"
-                f" {blocked}"
+                f"task {task.name}: the arm cannot follow demonstration {index}, kept for evaluation, in the posture in"
+                f" which it follows those learned from, stopped after {blocked}"
             )
 
 

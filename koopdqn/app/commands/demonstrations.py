@@ -20,7 +20,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.demonstrations.preprocess import trim_idle_each
 from koopdqn.demonstrations.reading import read_demonstrations, read_files, together
-from koopdqn.demonstrations.recordings.load import Loaded
+from koopdqn.demonstrations.recordings.load import MEASURED, Loaded
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.oracles.terminal.device import check_graphics, require_terminal
 from koopdqn.paths import arc_lengths
@@ -161,9 +161,8 @@ def recognised(read: Sequence[Loaded]) -> list[str]:
     alike: dict[str, list[Loaded]] = {}
     for each in read:
         # Files of one logger differ in numbers alone.
-        alike.setdefault(re.sub(r"\(largest [^)]*\)|\d+ rows", "", "\n".join((each.kind, *each.reasons))), []).append(
-            each
-        )
+        said = MEASURED.sub("", "\n".join((each.kind, *each.reasons)))
+        alike.setdefault(re.sub(r"\d+ rows", "", said), []).append(each)
     lines = []
     for first, *others in alike.values():
         more = f" and {len(others)} more" if others else ""

@@ -10,7 +10,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrations import read_and_cut, recognised
 from koopdqn.app.commands.pipeline import DEMONSTRATIONS
 from koopdqn.app.hydra.application import CommandResult
-from koopdqn.demonstrations.cleaning import STEPS, Cleaned, clean
+from koopdqn.demonstrations.cleaning import STEPS, Cleaned, clean, without_outliers
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.derivation import Derivation
 from koopdqn.demonstrations.hdf5 import write_hdf5
@@ -30,7 +30,7 @@ def inspect(config: Configuration, folder: Path) -> CommandResult:
 
     read, demonstrations = read_and_cut(config, "inspect")
     # What does not move shows nothing, whichever steps are on.
-    trim_idle_each(demonstrations.items)
+    trim_idle_each([without_outliers(item) for item in demonstrations.items])
     cleaned = [_cleaned(config, demonstrations, index) for index in range(len(demonstrations))]
     items = [each.item for each in cleaned]
     beside = compare(items)

@@ -13,7 +13,7 @@ from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import WorkFailedError
 from koopdqn.paths import arc_lengths, between
 from koopdqn.pose import Array
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import Task, breaks_rule
 from koopdqn.tasks.workcell import Motion, Reachability, Workcell
 
 AXES: Final = {"w": (0, 1.0), "s": (0, -1.0), "a": (1, 1.0), "d": (1, -1.0), "r": (2, 1.0), "f": (2, -1.0)}
@@ -232,7 +232,7 @@ class Recorder:
         text = f"Kept: demonstration {len(state.kept)}, {len(item)} samples, {item.times[-1]:.1f} s"
         if reason:
             text += f"; rounded off less: {reason}"
-        if task.rule_broken(item.poses).any():
+        if breaks_rule(task, item.poses).any():
             text += f"; it breaks the rule: {task.rule}"
         return self._become(self._begun(state.start + 1, (*state.kept, item)), f"{text}; a new start")
 

@@ -33,6 +33,7 @@ from koopdqn.oracles.terminal.screen import (
 from koopdqn.pose import Array
 from koopdqn.robot.render import Ghost, Image, Line
 from koopdqn.robot.view import View, choose_view
+from koopdqn.tasks.task import breaks_rule
 from koopdqn.tasks.workcell import Workcell
 
 START: Final = Style(color="bright_white", bold=True)
@@ -132,7 +133,7 @@ def _right(shown: Shown, width: int) -> list[Text]:
     left = pose.multiply(pose.conjugate(here[pose.QUATERNION]), task.goal[pose.QUATERNION])
     turn = np.degrees(pose.to_rotation_vector(left))
     reached = bool(task.reached(here[None])[0])
-    broken = bool(task.rule_broken(here[None])[0])
+    broken = bool(breaks_rule(task, here[None])[0])
     moves, samples = recorder.state.moves, recorder.samples
     apart = f"{np.linalg.norm(away):.1f} mm and {np.linalg.norm(turn):.1f}° away"
     return [

@@ -150,7 +150,7 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     turn = recording.turn
     if declared.orientation is not None:
         reasons.append("orientation as recorded, and import.orientation without effect")
-    if declared.rotation is not None and recording.rotation not in (None, "vector", "angles"):
+    if declared.rotation is not None and recording.rotation not in (None, "vector", "angles", "kuka"):
         reasons.append(f"orientation as {recording.rotation}, as names say, and import.rotation without effect")
     if recording.rotation == "transform":
         by_columns = _by_columns(recording, turn)
@@ -167,16 +167,21 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     if declared.rotation is None and recording.rotation == "vector" and (largest > _LARGEST_RAD or angles == "deg"):
         # Rotation vectors are in radians wherever they are documented; arms that log degrees call their angles so.
         rotation = None
-    if rotation not in ("vector", "angles"):
+    if rotation not in ("vector", "angles", "kuka"):
         rule = "vector or angles, as three numbers tell orientation in either way"
         if largest > _LARGEST_RAD and angles is None:
             rule += f"; import.angles: deg or rad, as the largest is {largest:g}, more than once around in rad"
         raise _ask(recording, "rotation", rule)
+    stated = "as a name says" if angles else f"as none is over 2π (largest {largest:.3g})"
+    if angles is None and recording.rotation == "kuka":
+        if largest <= _LARGEST_RAD:
+            rule = f"deg or rad, as KUKA writes A B C in deg, and the largest is {largest:.3g}, which may be either"
+            raise _ask(recording, "angles", rule)
+        angles, stated = "deg", "as KUKA writes A B C"
     if angles is None and largest > _LARGEST_RAD:
         raise _ask(recording, "angles", f"deg or rad, as the largest is {largest:g}, more than once around in rad")
-    stated = "as declared" if declared.angles else "as a name says" if angles else f"as none is over 2π ({largest:.3g})"
     kind = "rotation vectors" if rotation == "vector" else "roll, pitch and yaw about fixed axes"
-    reasons.append(f"{kind} in {angles or 'rad'}, {stated}")
+    reasons.append(f"{kind} in {angles or 'rad'}, {'as declared' if declared.angles else stated}")
     radians = np.radians(turn) if angles == "deg" else turn
     if np.abs(radians).max(initial=0.0) > 2.0 * _LARGEST_RAD:
         raise BadInputError(f"demos {recording.where}: angles must turn at most twice around, found {largest:g}")

@@ -1,7 +1,8 @@
 """A file to demonstrations: recognised by what it holds, read, converted, and cut if that is asked for."""
 
 import os
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +24,9 @@ from koopdqn.robot.arm import Arm
 
 # More demonstrations than this in one file are a sign that rows were taken for demonstrations.
 _MOST: Final = 10_000
+_NUMBER: Final = r"\d+(?:\.\d+)?(?:e[+-]\d+)?"
+MEASURED: Final = re.compile(rf"(?<=\(largest ){_NUMBER}(?=\))|{_NUMBER}(?=° apart)")
+"""What a reason measured in one recording: the largest coordinate or angle, how far apart two orientations are."""
 # A large file may take longer to read by this [bytes/s].
 _READ_PER_SECOND: Final = 1 << 23
 
@@ -205,12 +209,20 @@ def _read(path: Path, kind: Kind, declared: ImportSettings, arm: Arm | None, cut
     items = [item for item, _ in done]
     motions = motions_of(items[0]) if cut and len(items) == 1 else []
     about = {
-        "reasons": list(dict.fromkeys(line for _, reasons in done for line in reasons)),
+        "reasons": _alike_once(line for _, reasons in done for line in reasons),
         "joints": [item.joints is not None for item in items],
         "motions": [(motion.begin, motion.end, motion.kept, motion.why) for motion in motions],
     }
     parts = ((item.times, item.poses, item.joints) for item in items)
     return about, [values for part in parts for values in part if values is not None]
+
+
+def _alike_once(lines: Iterable[str]) -> list[str]:
+    """Return lines once each; of those that differ in what was measured alone, that of the largest."""
+    found: dict[str, list[str]] = {}
+    for line in lines:
+        found.setdefault(MEASURED.sub("", line), []).append(line)
+    return [max(alike, key=lambda line: [float(each) for each in MEASURED.findall(line)]) for alike in found.values()]
 
 
 def _unpacked(about: Any, arrays: list[np.ndarray]) -> tuple[tuple[Demonstration, ...], tuple[Cut, ...]]:

@@ -79,7 +79,8 @@ def parsed(name: str) -> Name:
             words[-2:] = [joined]
     if words and words[-1] in _ALIASES:
         words[-1:] = _ALIASES[words[-1]]
-    return Name(tuple(words[:-1]), words[-1] if words else "", unit)
+    # Only a last word may be KUKA's: the poses' names A and B are in lower case as all others.
+    return Name(tuple(word.lower() for word in words[:-1]), words[-1] if words else "", unit)
 
 
 def length_unit(names: list[Name]) -> Units | None:
@@ -194,7 +195,7 @@ _LETTERED: Final[tuple[tuple[tuple[str, ...], RowRotation], ...]] = (
     (QUATERNION, "quaternion"),
     (VECTOR, "vector"),
     (ANGLES, "angles"),
-    (KUKA, "angles"),
+    (KUKA, "kuka"),
 )
 
 
@@ -213,10 +214,8 @@ def _lettered(
             continue
         own = _owner(words, _TURN_WORDS | _POSITION_WORDS)
         found = _turn(own, [leaves[leaf] for leaf in names], rotation, known)
-        if names == KUKA:
-            if own in turns:
-                continue
-            found = replace(found, angles=found.angles or "deg")
+        if names == KUKA and own in turns:
+            continue
         turns[own] = replace(turns[owner], other=found) if owner in turns else found
     if not all(leaf in leaves for leaf in AXES):
         return

@@ -87,8 +87,9 @@ NOTHING: Final = ImportSettings(**dict.fromkeys(ImportSettings.model_fields))
 """Nothing declared."""
 
 
-RowRotation = Literal["quaternion", "vector", "angles", "matrix", "transform"]
-"""What the numbers of orientation of a row are: as in CSV, or a rotation matrix by rows, or a 4×4 that holds it."""
+RowRotation = Literal["quaternion", "vector", "angles", "kuka", "matrix", "transform"]
+"""What the numbers of orientation of a row are: as in CSV, or KUKA's C B A, which are such angles, in degrees as KUKA
+writes them; or a rotation matrix by rows, or a 4×4 that holds it."""
 
 
 @dataclass(frozen=True)
