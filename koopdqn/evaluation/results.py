@@ -11,15 +11,10 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import read_json, sha256_of
 from koopdqn.rl.schema import TrainReport
-from koopdqn.run_folder import check_plain
+from koopdqn.run_folder import CHECKPOINT, EVALUATION, POLICY, RECORD, TRAINING, check_plain
 from koopdqn.schema import ReportModel
 from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
 
-TRAINING: Final = "train.json"
-EVALUATION: Final = "eval.json"
-POLICY: Final = "policy.safetensors"
-_OVERRIDES: Final = Path(".hydra") / "overrides.yaml"
-_CHECKPOINT: Final = Path("checkpoints") / "latest.safetensors"
 # What does not tell one variant from another.
 _OF_ONE_RUN: Final = ("command", "out", "run", "seed")
 QUANTITIES: Final = ("success_rate", "deviation_mm", "check_success_rate", "oracle_queries", "seconds")
@@ -130,7 +125,7 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
     """
     if not folder.is_dir():
         raise BadInputError(f"report.sweep: must name a folder that exists, found {str(folder)!r}")
-    given = {file.parents[1]: _given(file) for file in folder.rglob(str(_OVERRIDES))}
+    given = {file.parents[1]: _given(file) for file in folder.rglob(str(RECORD))}
     begun = {place for place, overrides in given.items() if overrides.get("command", "train") == "train"}
     # A correction keeps the report of the training before it.
     corrected = {place for place, overrides in given.items() if overrides.get("command") == "correct"}
@@ -140,7 +135,7 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
         key=lambda place: (place.parent, len(place.name), place.name),
     )
     if not places:
-        rule = f"must hold runs of koopdqn train ({TRAINING} or {_OVERRIDES})"
+        rule = f"must hold runs of koopdqn train ({TRAINING} or {RECORD})"
         raise BadInputError(f"report.sweep: {rule}, found none in {folder}/; `koopdqn train -m seed=0,1,2` makes some")
     evaluations, _ = find_evaluations([file for each in (folder, *elsewhere) for file in each.rglob(EVALUATION)])
     overrides = [given.get(place, {}) for place in places]
@@ -182,7 +177,7 @@ def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], eva
             content |= {"evaluation": str(file), "success_rate": evaluation["success_rate"]}
             content["deviation_mm"] = evaluation["path_deviation_mm"]["mean"]
         return SweptRun(state="finished", reason="", **content)
-    if (place / _CHECKPOINT).is_file():
+    if (place / CHECKPOINT).is_file():
         reason = f"It runs, or was stopped: `koopdqn train run={place}` goes on with it."
         return SweptRun(state="unfinished", reason=reason, **content)
     reason = f"It holds neither {TRAINING} nor a checkpoint: it failed, or has only begun."

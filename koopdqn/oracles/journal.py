@@ -295,10 +295,6 @@ def _without_dropped(lines: list[Line], drop: DropLine) -> list[Line]:
     return [*lines[:end], *later]
 
 
-JOURNAL = "feedback.jsonl"
-"""Name of the journal in a run folder."""
-
-
 class JournalFile:
     """A journal, of answers or of keys, open for appending. Close it."""
 

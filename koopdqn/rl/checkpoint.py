@@ -13,6 +13,7 @@ from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checks import Check
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import recorded_arm
+from koopdqn.run_folder import CHECKPOINT
 from koopdqn.settings import load_settings
 
 if TYPE_CHECKING:
@@ -25,11 +26,6 @@ _LONGEST = 40
 _NONE = object()
 
 
-def checkpoint_path(folder: Path) -> Path:
-    """Return the path of a run folder's latest checkpoint."""
-    return folder / "checkpoints" / "latest.safetensors"
-
-
 def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], seconds: float) -> None:
     """Save the state of a run that has taken ``seconds`` so far into its folder.
 
@@ -37,7 +33,7 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
     """
     arrays, state = trainer.state()
     about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}
-    write_artifact(checkpoint_path(folder), Artifact(KIND, arrays, about))
+    write_artifact(folder / CHECKPOINT, Artifact(KIND, arrays, about))
 
 
 def read_checkpoint(
@@ -54,7 +50,7 @@ def read_checkpoint(
     Raises:
         BadInputError: the checkpoint is damaged, or the run was begun with another config.
     """
-    path = checkpoint_path(folder)
+    path = folder / CHECKPOINT
     if not path.exists():
         return None
     artifact = read_artifact(path, KIND)

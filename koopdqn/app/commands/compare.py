@@ -11,7 +11,6 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
-from koopdqn.app.commands.report import RUNS
 from koopdqn.app.commands.trained import TrainedRun, as_trained, read_trained
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
@@ -20,13 +19,14 @@ from koopdqn.app.hydra.record import GROUPS, read_record
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.metrics import reference_paths
-from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
+from koopdqn.evaluation.results import find_evaluations, newest_evaluation, read_report
 from koopdqn.files import write_json
 from koopdqn.plots import style
 from koopdqn.pose import POSITION, Array
 from koopdqn.report.runs import SCRIPTED
 from koopdqn.rl.policy import PolicyAround
 from koopdqn.rl.schema import TrainReport
+from koopdqn.run_folder import EVALUATION, RUNS, TRAINING
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out
 from koopdqn.view.motions import Motion, demonstrated_motions, learned_motion, shown_starts

@@ -13,7 +13,6 @@ from rich.console import RenderableType
 from koopdqn import console, pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import DEMONSTRATIONS
 from koopdqn.app.hydra.application import CommandResult, how_to_go_on
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -25,6 +24,7 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.oracles.terminal.device import check_graphics, require_terminal
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
+from koopdqn.run_folder import DEMONSTRATIONS
 from koopdqn.tasks.workcell import Workcell
 
 _TRIED: Final = 1000

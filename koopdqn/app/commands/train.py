@@ -8,20 +8,17 @@ from typing import Any
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.hydra.application import CommandResult, how_to_go_on, in_sweep, record_continued
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
 from koopdqn.oracles.base import Oracle
-from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.checkpoint import EventLog, checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import EventLog, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.checks import Check
 from koopdqn.rl.human_reward import Budget, answering
 from koopdqn.rl.network import size
@@ -29,11 +26,10 @@ from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
+from koopdqn.run_folder import BEGUN, CHECKPOINT, JOURNAL, POLICY, TRAINING, TRAINING_PICTURE
 from koopdqn.settings import shown
 from koopdqn.tasks.workcell import Workcell
 from koopdqn.view.dashboard import Dashboard, fits
-
-BEGUN = "begun.json"
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -72,7 +68,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     oracle = JournalledOracle(opened, folder / JOURNAL, answered)
     trainer = trainer_of(config, workcell, reward, shown_paths, oracle)
     if checkpoint is not None:
-        with reading(f"checkpoint {checkpoint_path(folder)}"):
+        with reading(f"checkpoint {folder / CHECKPOINT}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
     record_continued()
@@ -90,7 +86,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     # Here and not before: matplotlib takes a while to load, and learning need not wait for it.
     from koopdqn.plots.train import plot_training
 
-    plot_training(folder / "train.png", trainer.history, report)
+    plot_training(folder / TRAINING_PICTURE, trainer.history, report)
     return CommandResult(
         report,
         _lines(report, folder, trainer),
@@ -250,7 +246,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / TRAINING)}",
-        f"training curve  {console.shown_path(folder / 'train.png')}",
+        f"training curve  {console.shown_path(folder / TRAINING_PICTURE)}",
     ]
 
 

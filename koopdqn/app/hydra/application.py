@@ -19,11 +19,10 @@ from koopdqn import console
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
 from koopdqn.app.hydra.overrides import going_on
-from koopdqn.app.hydra.record import RECORD
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
 from koopdqn.resources import conf_dir
-from koopdqn.run_folder import locked
+from koopdqn.run_folder import RECORD, locked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -9,6 +9,7 @@ from typing import Final
 from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record, said_again
 from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError
+from koopdqn.run_folder import DEMONSTRATIONS, INTENT, JOURNAL, POLICY, RUNS, TRAINING
 from koopdqn.settings import shown
 
 PATH_KEYS: Final = (
@@ -49,9 +50,8 @@ _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_mo
 _TAKES_FILES: Final = ("import", "inspect")
 """Commands whose files may stand alone."""
 _MOST_COMPARED: Final = 6
-_COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
+_COPIES: Final = {"demos": DEMONSTRATIONS, "intent_file": INTENT}
 """Inputs that a run keeps a copy of, and its name."""
-_JOURNAL: Final = "feedback.jsonl"
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def newest_trained_run() -> Path:
     Raises:
         BadInputError: there is none.
     """
-    finished = [path for path in Path("runs").rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
+    finished = [path for path in RUNS.rglob(TRAINING) if (path.parent / POLICY).is_file()]
     if not finished:
         raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
@@ -235,7 +235,7 @@ def _copied(command: str, folder: Path, recorded: Iterable[Recorded]) -> list[st
     copied = [key for key, name in _COPIES.items() if (folder / name).is_file()]
     # A person's answers are added to those that the run began with; a replay reads its journal to the end.
     at_terminal = any(item.key == "oracle" and item.value == "terminal" for item in recorded)
-    return [*copied, "oracle.journal"] if at_terminal and (folder / _JOURNAL).is_file() else copied
+    return [*copied, "oracle.journal"] if at_terminal and (folder / JOURNAL).is_file() else copied
 
 
 def _trusted(prepared: Iterable[str]) -> list[str]:

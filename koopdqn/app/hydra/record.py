@@ -8,12 +8,9 @@ from typing import Any, Final
 
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.resources import check_asset
-from koopdqn.run_folder import check_plain
+from koopdqn.run_folder import RECORD, check_plain
 from koopdqn.settings import shown
 from koopdqn.untrusted import TARGET, check_target
-
-RECORD: Final = Path(".hydra") / "overrides.yaml"
-"""Where Hydra writes the overrides of a run, in its folder."""
 
 GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "actions", "preset")
 """The config groups."""
