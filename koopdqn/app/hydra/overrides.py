@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from koopdqn.app.command_table import COMMANDS
 from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record, said_again
 from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError
@@ -38,18 +39,10 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
     "host": "stream.host",
-    "goal": "eval.goal",
     "waypoints": "correct.waypoints",
 }
-_OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": ("start", "step", "pose")}
-"""A command's own keys that need no prefix."""
-_CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
-"""Commands that go on with ``run=DIR``, and what DIR is of."""
 _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
 """Keys without effect from Python."""
-_TAKES_FILES: Final = ("import", "inspect")
-"""Commands whose files may stand alone."""
-_MOST_COMPARED: Final = 6
 _COPIES: Final = {"demos": DEMONSTRATIONS, "intent_file": INTENT}
 """Inputs that a run keeps a copy of, and its name."""
 
@@ -71,8 +64,8 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     """Return the overrides that Hydra gets for a command.
 
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
-    - Short names become long ones (`_SHORT_NAMES`, `_OWN_KEYS`), and ``obstacles=FILE`` becomes ``task.obstacles=``
-      with what the file holds.
+    - Short names become long ones (`_SHORT_NAMES`, and the command's ``own_keys``), and ``obstacles=FILE`` becomes
+      ``task.obstacles=`` with what the file holds.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - Values of the `PATH_KEYS`, and the name of ``import.pose=``, are quoted when they hold characters of Hydra's
@@ -98,39 +91,44 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
             that can be continued.
     """
-    if command in _TAKES_FILES:
+    what = COMMANDS[command]
+    if what.demos == "files":
         overrides = _with_files(overrides)
-    if command == "compare":
-        overrides = _with_runs(overrides)
+    if what.most_runs > 1:
+        overrides = _with_runs(overrides, what.most_runs)
     prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
-    if command == "stream" and multirun:
-        raise BadInputError("--multirun: koopdqn stream moves one arm once, found it asked for several")
-    folders = [_value(override) for override in prepared if _key(override) == "run"]
-    named = bool(folders) and folders[-1] != "null"
-    if command in ("view", "export") and named and "demos" in keys:
+    if what.once and multirun:
+        raise BadInputError(f"--multirun: koopdqn {command} {what.once}, found it asked for several")
+    named = [_value(override) for override in prepared if _key(override) == "run"]
+    folder = named[-1] if named and named[-1] != "null" else None
+    any_task = what.demos in ("any", "files")
+    shows_demonstrations = any_task and "demos" in keys
+    if what.looks_at and folder is not None and shows_demonstrations:
         raise BadInputError(f"demos: koopdqn {command} takes either run= or demos=, found both")
-    if command == "compare":
+    if what.most_runs > 1:
         _check_compared(prepared)
-    if command == "correct" and not named:
-        raise BadInputError("run: must name the trained run to correct, found none")
-    if (
-        command in ("eval", "explain", "compare", "correct")
-        or (command in ("export", "stream") and named)
-        or (command == "view" and "demos" not in keys)
-    ):
-        return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
-    if command in ("import", "inspect", "export", "view") and "task" not in keys:
+    if what.looks_at == "needed" and folder is None:
+        raise BadInputError(f"run: must name the trained run to {command}, found none")
+    if what.looks_at == "newest" and folder is None and not shows_demonstrations:
+        folder = str(newest_trained_run())
+    if what.looks_at and folder is not None:
+        return _looking_at(folder, command, prepared)
+    if any_task and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
-    if command not in _CONTINUED or not named:
-        return Prepared([*prepared, f"command={command}"])
+    if what.goes_on_with and folder is not None:
+        return _going_on_in(folder, command, prepared, multirun=multirun)
+    return Prepared([*prepared, f"command={command}"])
+
+
+def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun: bool) -> Prepared:
+    keys = [_key(override) for override in prepared]
     if multirun:
         raise BadInputError(f"run: {command} run=DIR goes on in one folder and cannot be combined with --multirun")
     if "out" in keys:
         raise BadInputError(f"out: {command} run=DIR goes on in DIR, so that out= cannot be given as well")
-    folder = folders[-1]
     given = {_name(override) for override in prepared}
     recorded = [item for item in _recorded(folder, command) if item.name not in given]
     if "oracle" in given:
@@ -138,11 +136,11 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         recorded = [item for item in recorded if item.root != "oracle"]
     copied = _copied(command, Path(folder), recorded)
     # That an intent was given still says whose settings hold.
-    own_intent = [f"intent_file={_text(f'{folder}/{name}')}" for key, name in _COPIES.items() if key == "intent_file"]
     given_intent = "intent_file" in copied and any(item.key == "intent_file" for item in recorded)
+    own_intent = [f"intent_file={_text(f'{folder}/{INTENT}')}"] if given_intent else []
     merged = [
         *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
-        *(own_intent if given_intent else []),
+        *own_intent,
         *prepared,
         f"command={command}",
         f"out={_text(folder)}",
@@ -174,16 +172,14 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
     return [f"demos=[{','.join(literal(str(Path(each).expanduser())) for each in files)}]", *rest]
 
 
-def _with_runs(overrides: Sequence[str]) -> list[str]:
+def _with_runs(overrides: Sequence[str], most: int) -> list[str]:
     """Return the overrides with every ``run=DIR`` gathered in ``compare.runs=``, the first of them kept."""
     folders = [_value(each) for each in overrides if _key(each) == "run"]
     rest = [each for each in overrides if _key(each) != "run"]
     if any(_key(each) == "compare.runs" for each in rest):
         raise BadInputError("compare.runs: is given as run=DIR run=DIR, found compare.runs=")
-    if not 2 <= len(folders) <= _MOST_COMPARED:
-        raise BadInputError(
-            f"run: koopdqn compare needs 2 to {_MOST_COMPARED} runs (run=DIR run=DIR), found {len(folders)}"
-        )
+    if not 2 <= len(folders) <= most:
+        raise BadInputError(f"run: koopdqn compare needs 2 to {most} runs (run=DIR run=DIR), found {len(folders)}")
     return [*rest, f"run={_text(folders[0])}", f"compare.runs=[{','.join(map(literal, folders))}]"]
 
 
@@ -212,7 +208,7 @@ def newest_trained_run() -> Path:
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 
-def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
+def _looking_at(folder: str, command: str, prepared: Sequence[str]) -> Prepared:
     given = {_name(override) for override in prepared}
     # A run's own inputs lie in its folder, and nobody is asked any more.
     unread = ("demos", "intent_file", "oracle")
@@ -275,12 +271,13 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"{name}: must name an option, found {value}")
     if name == "obstacles":
         return _obstacles(value)
-    if name == "goal" and command != "eval":
+    own_keys = COMMANDS[command].own_keys
+    if name == "goal" and name not in own_keys:
         raise BadInputError(
             f"goal: koopdqn {command} goes to the goal that was demonstrated, found {shown(value)}; koopdqn eval takes"
             " another"
         )
-    name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
+    name = f"{command}.{name}" if name in own_keys else _SHORT_NAMES.get(name, name)
     if name in (*PATH_KEYS, "import.pose") and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
@@ -360,7 +357,7 @@ def _value(override: str) -> str:
 
 
 def _recorded(folder: str, command: str, *, measured: bool = False) -> list[Recorded]:
-    what = _CONTINUED[command]
+    what = COMMANDS[command].goes_on_with
     if not folder.strip():
         raise BadInputError(f"run: must name the folder of {what}, found ''")
     recorded = read_record(Path(folder), what)
