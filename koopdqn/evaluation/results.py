@@ -12,8 +12,7 @@ from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import read_json, sha256_of
 from koopdqn.rl.schema import TrainReport
 from koopdqn.run_folder import CHECKPOINT, EVALUATION, POLICY, RECORD, TRAINING, check_plain
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, ReportModel, flaw
 
 # What does not tell one variant from another.
 _OF_ONE_RUN: Final = ("command", "out", "run", "seed")
@@ -34,9 +33,7 @@ def read_report(file: Path, what: str, model: type[Model]) -> dict[str, Any]:
     try:
         return model.model_validate(read_json(file, f"the {what}")).model_dump(mode="json")
     except ValidationError as error:
-        first = error.errors()[0]
-        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise BadInputError(f"{file} must hold the keys of this release's {what}: {reason}") from error
+        raise BadInputError(f"{file} must hold the keys of this release's {what}: {flaw(error)}") from error
 
 
 def find_evaluations(files: Sequence[Path]) -> tuple[Evaluations, dict[Path, str]]:

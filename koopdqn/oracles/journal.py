@@ -14,8 +14,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import LARGEST_JSON, parse_json
 from koopdqn.oracles.base import Answer, Earlier
 from koopdqn.run_folder import open_own
-from koopdqn.schema import ReportModel, flaw
-from koopdqn.settings import Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Name, NonNegative, NonNegativeInt, ReportModel, flaw
 from koopdqn.tasks.actions import NAMES
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
