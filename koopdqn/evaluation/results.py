@@ -36,6 +36,11 @@ def read_report(file: Path, what: str, model: type[Model]) -> dict[str, Any]:
         raise BadInputError(f"{file} must hold the keys of this release's {what}: {flaw(error)}") from error
 
 
+def read_training(folder: Path) -> dict[str, Any]:
+    """Return the content of a run's ``train.json``, as :func:`read_report` does."""
+    return read_report(folder / TRAINING, "training report", TrainReport)
+
+
 def find_evaluations(files: Sequence[Path]) -> tuple[Evaluations, dict[Path, str]]:
     """Return evaluation files with their contents, the newest first, and of others why they cannot be used."""
     found, unusable = [], {}
@@ -163,7 +168,7 @@ def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], eva
     content |= {"folder": str(place), "overrides": overrides, "seed": int(seed) if seed.isdecimal() else None}
     if (place / TRAINING).is_file():
         try:
-            train = read_report(place / TRAINING, "training report", TrainReport)
+            train = read_training(place)
         except BadInputError as error:
             return SweptRun(state="failed", reason=str(error), **content)
         content |= {key: train[key] for key in ("seed", "learned", "oracle_queries", "seconds")}

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from koopdqn import console
 from koopdqn.app.commands import pipeline
@@ -11,7 +11,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
-from koopdqn.artifact import described, read_artifact, reading
+from koopdqn.artifact import below, described, read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json
@@ -30,8 +30,6 @@ from koopdqn.settings import load_settings, shown
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
-
-_FEEDBACK: Final = "feedback/"
 
 _LONGEST = 1_000_000
 """The most steps that an episode may be given."""
@@ -92,7 +90,7 @@ def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Fee
     if path.is_file():
         arrays = read_artifact(path, KIND).arrays
         with reading(f"checkpoint {path}"):
-            feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
+            feedback.restore(below(arrays, "feedback/"))
     return feedback
 
 
@@ -107,9 +105,9 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     """
     policy = run / POLICY
     about = read_artifact(policy, "policy").about
-    taken, found = ("continuous" if each else "table1" for each in ("actions" in about, config.agent.continuous))
-    if taken != found:
-        raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {found}")
+    taken = "continuous" if "actions" in about else "table1"
+    if taken != config.inputs.actions:
+        raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {config.inputs.actions}")
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
         robot = recorded_arm(about["robot"], config.robot)
