@@ -61,7 +61,7 @@ class Prepared:
 
 
 def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -> Prepared:
-    """Return the overrides that Hydra gets for a command.
+    """Return the overrides that Hydra gets for a command, by what the table says of it.
 
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
     - Short names become long ones (`_SHORT_NAMES`, and the command's ``own_keys``), and ``obstacles=FILE`` becomes
@@ -71,15 +71,13 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     - Values of the `PATH_KEYS`, and the name of ``import.pose=``, are quoted when they hold characters of Hydra's
       grammar (a space, a bracket) or read as a number, and a leading ``~`` is the home folder. ``demos=`` may be a list
       in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``train run=DIR`` and ``demo run=DIR`` go on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new
-      ones after them; the run folder is DIR, whose record takes the new ones once the run has. The record is data
+    - Where a command goes on in DIR the overrides recorded in ``DIR/.hydra`` come first, the new ones after them; the
+      run folder is DIR, whose record takes the new ones once the run has. The record is data
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps a copy of are read from there,
       wherever the files first given are by now. Where another oracle is given, the recorded one's settings go.
-    - Commands that look at a trained run take the overrides recorded there first, so that task and robot are the run's
-      own; ``eval``, ``explain`` and ``view`` without ``run=`` look at the newest below ``runs/``, and ``compare`` takes
-      several, everything from the first.
-    - ``import`` and ``inspect`` also take files alone, without ``demos=``. They, ``export`` and ``view demos=`` work on
-      demonstrations of any kind: without ``task=`` theirs is the one that demonstrations define.
+    - Where it looks at a trained run the overrides recorded there come first, so that task and robot are the run's own;
+      of several runs, those of the first.
+    - Demonstrations of any task are of the one that they define, unless ``task=`` is given.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -113,7 +111,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if what.looks_at == "needed" and folder is None:
         raise BadInputError(f"run: must name the trained run to {command}, found none")
     if what.looks_at == "newest" and folder is None and not shows_demonstrations:
-        folder = str(newest_trained_run())
+        folder = str(_newest_trained_run())
     if what.looks_at and folder is not None:
         return _looking_at(folder, command, prepared)
     if any_task and "task" not in keys:
@@ -134,12 +132,13 @@ def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun
     if "oracle" in given:
         # Who answers may change within a run; the settings were those of who answered before.
         recorded = [item for item in recorded if item.root != "oracle"]
-    copied = _copied(command, Path(folder), recorded)
+    copied = _copied(Path(folder), recorded)
     # That an intent was given still says whose settings hold.
     given_intent = "intent_file" in copied and any(item.key == "intent_file" for item in recorded)
     own_intent = [f"intent_file={_text(f'{folder}/{INTENT}')}"] if given_intent else []
+    paths = [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
     merged = [
-        *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
+        *check_record(recorded, Path(folder), _trusted(prepared), [*paths, *copied]),
         *own_intent,
         *prepared,
         f"command={command}",
@@ -157,7 +156,7 @@ def going_on(command: str, folder: Path) -> list[str]:
         BadInputError: the run's record is missing or damaged.
     """
     recorded = _recorded(str(folder), command)
-    return [command, f"run={shown_path(folder)}", *said_again(recorded, _copied(command, folder, recorded))]
+    return [command, f"run={shown_path(folder)}", *said_again(recorded, _copied(folder, recorded))]
 
 
 def _with_files(overrides: Sequence[str]) -> list[str]:
@@ -185,23 +184,15 @@ def _with_runs(overrides: Sequence[str], most: int) -> list[str]:
 
 def _check_compared(prepared: Sequence[str]) -> None:
     """Raise BadInputError for what ``compare`` would not heed: its runs are what they were trained as."""
+    heeded = ("run", "compare", "out", "eval", "trust_modules", "hydra")
     for override in prepared:
-        root, _, rest = _key(override).partition(".")
-        if root not in ("run", "compare", "out", "eval", "trust_modules", "hydra") and (root, rest) != (
-            "view",
-            "starts",
-        ):
-            raise BadInputError(
-                f"{_key(override)}: koopdqn compare shows its runs as they were trained, found {shown(override)}"
-            )
+        key = _key(override)
+        if key != "view.starts" and key.partition(".")[0] not in heeded:
+            raise BadInputError(f"{key}: koopdqn compare shows its runs as they were trained, found {shown(override)}")
 
 
-def newest_trained_run() -> Path:
-    """Return the folder of the newest finished training run below ``runs/``.
-
-    Raises:
-        BadInputError: there is none.
-    """
+def _newest_trained_run() -> Path:
+    """Return the folder of the newest finished training run below ``runs/``; BadInputError if there is none."""
     finished = [path for path in RUNS.rglob(TRAINING) if (path.parent / POLICY).is_file()]
     if not finished:
         raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
@@ -220,14 +211,8 @@ def _looking_at(folder: str, command: str, prepared: Sequence[str]) -> Prepared:
     return Prepared([*own, *rest, f"run={_text(folder)}", f"command={command}"])
 
 
-def _paths(keys: Iterable[str]) -> list[str]:
-    return [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
-
-
-def _copied(command: str, folder: Path, recorded: Iterable[Recorded]) -> list[str]:
+def _copied(folder: Path, recorded: Iterable[Recorded]) -> list[str]:
     """Return the keys of the inputs that a run keeps a copy of."""
-    if command != "train":
-        return []
     copied = [key for key, name in _COPIES.items() if (folder / name).is_file()]
     # A person's answers are added to those that the run began with; a replay reads its journal to the end.
     at_terminal = any(item.key == "oracle" and item.value == "terminal" for item in recorded)
@@ -263,7 +248,7 @@ def as_hydra_takes_it(override: str) -> str:
 
 def _prepare_one(command: str, override: str) -> str:
     name, equals, value = override.partition("=")
-    if not _is_override(override):
+    if not (override.startswith("~") or (equals and name.strip("+ "))):
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
@@ -297,11 +282,6 @@ def _grammar(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(_grammar(each) for each in value)}]"
     return literal(value) if isinstance(value, str) else repr(value)
-
-
-def _is_override(text: str) -> bool:
-    name, equals, _ = text.partition("=")
-    return text.startswith("~") or bool(equals and name.strip("+ "))
 
 
 def _is_list(value: str) -> bool:
