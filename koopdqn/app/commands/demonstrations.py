@@ -61,7 +61,7 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
         RecordingScreen(recording, workcell, graphics, console.shown_path(path)).run()
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
-    goes_on = f"{how_to_go_on('demo', folder)} goes on"
+    goes_on = how_to_go_on("demo", folder)
     if demonstrations is None:
         raise WorkFailedError(f"no demonstration was kept: e marks the end of one; {goes_on} ({moves} moves under way)")
     remarks = [f"{moves} moves are under way; {goes_on}"] if moves else []

@@ -37,7 +37,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     try:
         return _run(config, folder)
     except BaseException as error:
-        error.add_note(_goes_on(folder))
+        error.add_note(how_to_go_on("train", folder))
         raise
 
 
@@ -113,18 +113,13 @@ def trainer_of(
     )
 
 
-def _goes_on(folder: Path) -> str:
-    return f"{how_to_go_on('train', folder)} goes on"
-
-
 def _check_threads(config: Configuration) -> None:
     """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
     journal = getattr(config.oracle, "journal", None)
     report = None if journal is None else Path(journal).parent / TRAINING
     if report is None or not report.is_file():
         return
-    content = read_json(report, "the training report")
-    recorded = content.get("threads") if isinstance(content, dict) else None
+    recorded = _threads_in(report, "the training report")
     if recorded not in (None, config.train.threads):
         raise BadInputError(
             f"train.threads: must be that of the run whose journal is given again ({shown(recorded)}, {report}), found"
@@ -140,13 +135,17 @@ def _check_begun(config: Configuration, folder: Path) -> None:
     path = folder / BEGUN
     if not path.exists():
         return
-    content = read_json(path, "what the run was begun with")
-    recorded = content.get("threads") if isinstance(content, dict) else None
+    recorded = _threads_in(path, "what the run was begun with")
     if isinstance(recorded, bool) or recorded != config.train.threads:
         raise BadInputError(
             f"train.threads: must be {shown(recorded)}, with which the run in {folder} was begun, found"
             f" {config.train.threads}: sums in another order end in other bits"
         )
+
+
+def _threads_in(path: Path, what: str) -> Any:
+    content = read_json(path, what)
+    return content.get("threads") if isinstance(content, dict) else None
 
 
 def _learn(
@@ -254,7 +253,7 @@ def _spent(trainer: Trainer, folder: Path) -> list[str]:
     """Return a remark if training ended because no more questions may be asked."""
     if trainer.learned or not trainer.feedback.stopped:
         return []
-    return [f"stopped by oracle.budget={trainer.questions}: {_goes_on(folder)} with a larger one"]
+    return [f"stopped by oracle.budget={trainer.questions}: {how_to_go_on('train', folder)} with a larger one"]
 
 
 def _cut_short(trainer: Trainer) -> list[str]:

@@ -114,7 +114,7 @@ def record_continued() -> None:
 
 
 def how_to_go_on(command: str, folder: Path) -> str:
-    """Return the command that goes on with the present one in its run folder, as a shell takes it."""
+    """Return what goes on with the present command in its run folder, as a shell takes it: "koopdqn … goes on"."""
     from hydra.core.hydra_config import HydraConfig
 
     option = {"command-line": "--config-dir", "main": "--config-path"}
@@ -124,7 +124,7 @@ def how_to_go_on(command: str, folder: Path) -> str:
         if source.provider in option and source.path != str(conf_dir())
     ]
     command, *rest = going_on(command, folder)
-    return shlex.join(["koopdqn", command, *own, *rest])
+    return f"{shlex.join(['koopdqn', command, *own, *rest])} goes on"
 
 
 def run(
