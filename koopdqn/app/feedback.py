@@ -10,7 +10,7 @@ import typer
 from koopdqn import console
 from koopdqn.app.exit_status import guard
 from koopdqn.errors import BadInputError
-from koopdqn.run_folder import CHECKPOINT, INTENT, JOURNAL, check_plain, locked
+from koopdqn.run_folder import INTENT, JOURNAL, check_plain, locked
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -160,11 +160,9 @@ def _check_allowed(folder: Path, answer: str) -> None:
 
 def _learned_answers(folder: Path) -> int:
     """Return how many answers the run in a folder has learned from; 0 if it holds none."""
-    from koopdqn.artifact import read_artifact
-    from koopdqn.rl.checkpoint import KIND, questions_asked
+    from koopdqn.rl.checkpoint import latest_checkpoint, questions_asked
 
-    path = folder / CHECKPOINT
-    return questions_asked(read_artifact(path, KIND)) if path.exists() else 0
+    return questions_asked(latest_checkpoint(folder))
 
 
 def _answers(title: str, records: "Records") -> "Table":

@@ -60,7 +60,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     config = pipeline.as_fitted(config, intent)
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by, earlier, config.robot)
-    answered = 0 if checkpoint is None else questions_asked(checkpoint)
+    answered = questions_asked(checkpoint)
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
     shown_paths = agent_steps(demonstrations, config.task)
     reward = pipeline.reward_of(config, workcell, intent, shown_paths)

@@ -20,7 +20,7 @@ from koopdqn.intent.reward import IntentReward, RewardSettings
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
-from koopdqn.rl.checkpoint import KIND
+from koopdqn.rl.checkpoint import latest_checkpoint
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy
 from koopdqn.robot.arm import Arm
@@ -86,11 +86,10 @@ def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Fee
         BadInputError: the checkpoint is damaged.
     """
     feedback = Feedback(trained.reward, ScriptedOracle(config.task), config.feedback)
-    path = source / CHECKPOINT
-    if path.is_file():
-        arrays = read_artifact(path, KIND).arrays
-        with reading(f"checkpoint {path}"):
-            feedback.restore(below(arrays, "feedback/"))
+    checkpoint = latest_checkpoint(source)
+    if checkpoint is not None:
+        with reading(f"checkpoint {source / CHECKPOINT}"):
+            feedback.restore(below(checkpoint.arrays, "feedback/"))
     return feedback
 
 
