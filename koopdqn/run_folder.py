@@ -1,4 +1,7 @@
-"""A run folder: one process works in it at a time, and it holds files and folders of its own only."""
+"""A run folder: one process works in it at a time, and it holds files and folders of its own only.
+
+The names stand here of those files that more than one module knows; docs/files.md lists them all.
+"""
 
 import errno
 import fcntl
@@ -12,8 +15,24 @@ from typing import Final
 
 from koopdqn.errors import BadInputError
 
+RUNS: Final = Path("runs")
+"""Where run folders lie unless ``out=`` names another place."""
+RECORD: Final = Path(".hydra") / "overrides.yaml"
+"""Where Hydra writes what a run was begun with."""
 LOCK: Final = ".lock"
-"""Name of the file that is locked while a process works in a folder."""
+"""The file that is locked while a process works in a folder."""
+DEMONSTRATIONS: Final = "demos.hdf5"
+INTENT: Final = "intent.npz"
+FIT: Final = "fit.json"
+FIT_PICTURE: Final = "fit.png"
+BEGUN: Final = "begun.json"
+"""What a training that was stopped must find unchanged."""
+JOURNAL: Final = "feedback.jsonl"
+CHECKPOINT: Final = Path("checkpoints") / "latest.safetensors"
+POLICY: Final = "policy.safetensors"
+TRAINING: Final = "train.json"
+TRAINING_PICTURE: Final = "train.png"
+EVALUATION: Final = "eval.json"
 
 _MOST_ENTRIES: Final = 100_000
 _held: dict[Path, int] = {}

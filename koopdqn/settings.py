@@ -1,4 +1,4 @@
-"""Typed settings: a config node becomes a frozen, validated object or one clear line of error."""
+"""Typed settings and result files: a config node becomes a frozen, validated object or one clear line of error."""
 
 import functools
 import importlib
@@ -33,37 +33,30 @@ _WORDS = (
 """How the phrases of pydantic's messages read here."""
 
 
-def describe(error: ValidationError, content: Mapping[str, Any], model: type[BaseModel], where: str) -> str:
-    """Return one line that names the first thing wrong and counts the others.
-
-    Args:
-        error: what building ``model`` from ``content`` raised.
-        content: the config that was refused.
-        model: the settings class.
-        where: as of :func:`plain`.
-    """
-    errors = error.errors(include_url=False)
-    # an unknown key is often a misspelling of one then reported missing, so it is the better line
-    errors.sort(key=lambda e: e["type"] != "extra_forbidden")
-    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    return _line(errors[0], content, model, where) + more
+def flaw(error: ValidationError, skip: int = 0) -> str:
+    """Return the first thing that is wrong: its dotted key, less the first ``skip`` parts, and what pydantic says."""
+    first = error.errors(include_url=False)[0]
+    key = ".".join(str(part) for part in first["loc"][skip:])
+    return f"{key}: {first['msg']}" if key else first["msg"]
 
 
 def _line(error: ErrorDetails, content: Mapping[str, Any], model: type[BaseModel], where: str) -> str:
-    location, rest = _within(error["loc"], content)
+    location = _within(error["loc"], content)
     if error["type"] == "extra_forbidden":
         owner = _model_at(model, location[:-1])
         valid = ", ".join(sorted(owner.model_fields)) if owner else "none"
         return f"unknown key {_dotted(where, location)}; valid: {valid}"
     if error["type"] == "missing":
-        return f"{_dotted(where, [*location, *rest[-1:]])}: must be given, found nothing"
+        return f"{_dotted(where, [*location, error['loc'][-1]])}: must be given, found nothing"
     key = _dotted(where, location) or "the config"
     message = error["msg"]
     if error["type"] in ("model_type", "model_attributes_type", "dict_type"):
         message = "must be a group of keys"
     elif error["type"] in _OWN_CHECK:
         message = message.partition(", ")[2] or message
-    message = _in_house_words(message)
+    for before, after in _WORDS:
+        message = message.replace(before, after)
+    message = " ".join(message.partition(" after validation")[0].split())
     # a model's own check sees all its fields at once and says itself what it found
     of_model = isinstance(error["input"], Mapping) and _model_at(model, location)
     if error["type"] in _OWN_CHECK and ("found" in message or of_model):
@@ -71,24 +64,15 @@ def _line(error: ErrorDetails, content: Mapping[str, Any], model: type[BaseModel
     return f"{key}: {message}, found {shown(error['input'])}"
 
 
-def _in_house_words(message: str) -> str:
-    for before, after in _WORDS:
-        message = message.replace(before, after)
-    return " ".join(message.partition(" after validation")[0].split())
-
-
-def _within(location: Sequence[int | str], content: object) -> tuple[list[int | str], list[int | str]]:
-    """Split an error's location into what exists in the config and pydantic's own additions."""
+def _within(location: Sequence[int | str], content: object) -> list[int | str]:
+    """Return the parts of an error's location that exist in the config; the others are pydantic's own additions."""
     inside: list[int | str] = []
-    rest: list[int | str] = []
     for part in location:
         holder = dict(enumerate(content)) if isinstance(content, list | tuple) else content
         if isinstance(holder, Mapping) and part in holder:
             content = holder[part]
             inside.append(part)
-        else:
-            rest.append(part)
-    return inside, rest
+    return inside
 
 
 def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel] | None:
@@ -166,6 +150,17 @@ class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, protected_namespaces=())
 
 
+class ReportModel(BaseModel):
+    """Base of the parts of a result file, under the same rules.
+
+    A key's description says what it holds; a unit stands in square brackets at its end, and holds for the keys
+    below it too. Where nothing could be measured a value is None, which is null in JSON.
+    """
+
+    # Built when first used: a command needs few of the schemas that it imports.
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
+
+
 def _listed(items: str, length: int | None = None) -> Callable[[object], tuple[Any, ...]]:
     """Return a validator that turns a YAML list of these items into a tuple of that length."""
 
@@ -210,6 +205,8 @@ Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
 PathText = Annotated[Path, BeforeValidator(_to_path)]
 """A path, written as a text that is not empty; it need not exist."""
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+"""A SHA-256 in hexadecimal digits."""
 Interval = Annotated[tuple[float, float], BeforeValidator(_listed("numbers", 2))]
 """Two numbers, as a YAML list: the lower and the upper bound (their order is for the owner to check)."""
 Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_listed("numbers", 3))]
@@ -268,7 +265,11 @@ def validate(node: Mapping[Any, Any] | None, model: type[Model], where: str = ""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise BadInputError(describe(error, content, model, where)) from error
+        errors = error.errors(include_url=False)
+        # an unknown key is often a misspelling of one then reported missing, so it is the better line
+        errors.sort(key=lambda e: e["type"] != "extra_forbidden")
+        more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+        raise BadInputError(_line(errors[0], content, model, where) + more) from error
 
 
 def load_settings(node: Mapping[Any, Any] | None, base: type[T], where: str) -> T:

@@ -23,6 +23,7 @@ from koopdqn.errors import WorkFailedError
 from koopdqn.evaluation.correction import Followed, along, in_base, in_frame, played
 from koopdqn.pose import Array
 from koopdqn.rl.policy import PolicyAround, read_policy
+from koopdqn.run_folder import POLICY
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "docs" / "corrections.md"
 _ASIDE_M: Final = np.array([0.024, 0.04, 0.04, 0.024])
@@ -33,8 +34,8 @@ _WAYS: Final = {f"{sign}{'xyz'[i]}": size * np.eye(3)[i] for i in range(3) for s
 def corrected(run: Path) -> Iterator[Followed | str]:
     """Yield how each correction of a run is followed, stretch by stretch, or why it cannot be made."""
     config = Configuration.load(composed(prepare("correct", [f"run={run}", "out=unused"]).overrides))
-    policy, _ = read_policy(run / pipeline.POLICY, config.task)
-    limit, workcell = step_limit_of(run / "train.json"), pipeline.open_scene(config)
+    policy, _ = read_policy(run / POLICY, config.task)
+    limit, workcell = step_limit_of(run), pipeline.open_scene(config)
     learned = played(workcell, policy, limit)
     was, start, frame = along(learned, policy.frame), workcell.task.nominal_start, policy.frame
     for first, last in _STRETCHES:

@@ -20,7 +20,7 @@ from koopdqn.oracles.journal import AnswerLine, DropLine, EditLine, OpinionLine,
 from koopdqn.programs.schema import ProgramFile, StreamFile
 from koopdqn.report.schema import ReportFile, SweepFile
 from koopdqn.rl.schema import TrainReport
-from koopdqn.schema import ReportModel
+from koopdqn.settings import ReportModel
 from koopdqn.view.schema import CompareFile, ExplainFile
 
 FILES: Final = Path(__file__).resolve().parents[1] / "docs" / "files.md"

@@ -38,6 +38,7 @@ from koopdqn.paths import to_step
 from koopdqn.pose import Array
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.starts import StartSampler
+from koopdqn.run_folder import INTENT
 from koopdqn.tasks.rollout import SUCCESS, Controller, follow, roll_out
 from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
@@ -87,7 +88,7 @@ def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ())
     trained = Trained(
         configuration,
         pipeline.open_scene(configuration),
-        read_intent(run / pipeline.INTENT, configuration.task),
+        read_intent(run / INTENT, configuration.task),
         agent_steps(demonstrations, configuration.task),
         int(report["step_limit"]),
     )

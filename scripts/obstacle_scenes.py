@@ -36,6 +36,7 @@ from koopdqn.paths import mean_poses, to_count
 from koopdqn.pose import Array
 from koopdqn.rl.policy import Policy, around, read_policy
 from koopdqn.robot.scene import Scene
+from koopdqn.run_folder import INTENT, POLICY
 from koopdqn.tasks.obstacles import Obstacle
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, follow, roll_out
 from koopdqn.tasks.workcell import Workcell, open_workcell
@@ -79,12 +80,12 @@ class Learned:
         """Return a run of ``koopdqn train``."""
         config = Configuration.load(composed(prepare("eval", [f"run={run}", "out=unused"]).overrides))
         config = as_trained(with_task(config, run, keep=False), run)
-        policy, _ = read_policy(run / pipeline.POLICY, config.task)
-        intent = read_intent(run / pipeline.INTENT, config.task)
+        policy, _ = read_policy(run / POLICY, config.task)
+        intent = read_intent(run / INTENT, config.task)
         workcell = pipeline.open_scene(config)
         shown = agent_steps(pipeline.demonstrations_of(config, run), config.task)
         reward = pipeline.reward_of(config, workcell, intent, shown)
-        limit = step_limit_of(run / "train.json")
+        limit = step_limit_of(run)
         path = intent.model.intended_paths(config.task.nominal_start[None], limit, config.task.step_m)[:, 0]
         joints, _ = workcell.reachability.follow_as_far(path)
         starts = workcell.reachability.draw_starts(config.task, np.random.default_rng(0), 8)[1]

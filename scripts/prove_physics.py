@@ -21,6 +21,7 @@ from koopdqn.intent.storage import read_intent
 from koopdqn.pose import Array
 from koopdqn.rl.policy import read_policy
 from koopdqn.robot.scene import Scene
+from koopdqn.run_folder import INTENT, POLICY
 from koopdqn.safety import Guard
 from koopdqn.tasks.actions import COUNT
 from koopdqn.tasks.rollout import SUCCESS
@@ -102,9 +103,9 @@ def measured(runs: list[Path], paths: int) -> dict[str, Any]:
         config = load_config(*check_record(read_record(run, "a training run"), run, (), ()))
         config = with_task(config, run, keep=False)
         workcell = pipeline.open_scene(config)
-        policy, _ = read_policy(run / pipeline.POLICY, config.task)
-        intent = read_intent(run / pipeline.INTENT, config.task)
-        limit = step_limit_of(run / "train.json")
+        policy, _ = read_policy(run / POLICY, config.task)
+        intent = read_intent(run / INTENT, config.task)
+        limit = step_limit_of(run)
         chosen = config.eval.model_copy(update={"episodes": paths, "seed": SEED})
         drawn = drawn_starts(workcell, chosen)
         starts, joints = drawn.starts, drawn.joints

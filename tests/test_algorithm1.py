@@ -17,10 +17,11 @@ from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.rl.checks import Check
 from koopdqn.rl.network import observe
 from koopdqn.rl.policy import Policy
+from koopdqn.run_folder import CHECKPOINT
 from koopdqn.tasks.rollout import STUCK, SUCCESS, Episode, roll_out
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.workcell import Workcell
@@ -417,9 +418,9 @@ def test_a_checkpoint_has_the_same_bytes_for_the_same_state(make: Make, tmp_path
     written = []
     for name in ("a", "b"):
         save_checkpoint(tmp_path / name, trainer, SHAPED_BY, 2.0)
-        written.append(checkpoint_path(tmp_path / name).read_bytes())
+        written.append((tmp_path / name / CHECKPOINT).read_bytes())
     assert written[0] == written[1]
-    assert [path.name for path in checkpoint_path(tmp_path / "a").parent.iterdir()] == ["latest.safetensors"]
+    assert [path.name for path in (tmp_path / "a" / CHECKPOINT).parent.iterdir()] == ["latest.safetensors"]
 
 
 def test_what_is_learned_from_agrees_with_the_scripted_expert(

@@ -7,7 +7,8 @@ from parts import load_parts
 
 from koopdqn.artifact import Artifact, described, write_artifact
 from koopdqn.errors import BadInputError
-from koopdqn.rl.checkpoint import checkpoint_path, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
+from koopdqn.run_folder import CHECKPOINT
 
 SHAPED_BY: dict[str, Any] = {"seed": 0, "task": {"name": "shelf"}}
 
@@ -57,14 +58,14 @@ def test_what_is_another_is_named_with_both_values_and_a_long_list_is_cut(tmp_pa
 
 def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
     saved(tmp_path)
-    path = checkpoint_path(tmp_path)
+    path = tmp_path / CHECKPOINT
     path.write_bytes(path.read_bytes()[:-4])
     with pytest.raises(BadInputError, match="must be a whole artifact"):
         read_checkpoint(tmp_path, SHAPED_BY)
 
 
 def test_an_artifact_of_another_kind_in_its_place_is_refused(tmp_path: Path) -> None:
-    write_artifact(checkpoint_path(tmp_path), Artifact("policy", {}, {}))
+    write_artifact(tmp_path / CHECKPOINT, Artifact("policy", {}, {}))
     with pytest.raises(BadInputError, match="must be of kind checkpoint, found kind policy"):
         read_checkpoint(tmp_path, SHAPED_BY)
 

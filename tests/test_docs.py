@@ -20,7 +20,7 @@ from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
-from koopdqn.schema import ReportModel
+from koopdqn.settings import ReportModel
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -18,8 +18,7 @@ from koopdqn.evaluation.baselines import Greedy
 from koopdqn.evaluation.evaluate import Evaluation, evaluate, work_units
 from koopdqn.evaluation.schema import EvaluationReport, EvaluationSettings, MethodReport
 from koopdqn.pose import Array
-from koopdqn.schema import ReportModel
-from koopdqn.settings import validate
+from koopdqn.settings import ReportModel, validate
 from koopdqn.tasks.rollout import SUCCESS, Controller
 
 SETTINGS = EvaluationSettings(

@@ -11,13 +11,12 @@ from questions import written
 
 from koopdqn.app import feedback
 from koopdqn.app.hydra.overrides import prepare
-from koopdqn.app.hydra.record import RECORD
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_text
 from koopdqn.oracles.base import Answer
-from koopdqn.oracles.journal import JOURNAL, JournalFile
+from koopdqn.oracles.journal import JournalFile
 from koopdqn.report.runs import find_runs
-from koopdqn.run_folder import LOCK, check_plain, locked
+from koopdqn.run_folder import JOURNAL, LOCK, RECORD, check_plain, locked
 
 CHECKOUT = str(Path(__file__).resolve().parent.parent)
 HOLD = """

@@ -21,7 +21,7 @@ from koopdqn.oracles import journal as feedback_schema
 from koopdqn.oracles.journal import AnswerLine
 from koopdqn.rl import schema as training_schema
 from koopdqn.rl.schema import TrainReport
-from koopdqn.schema import ReportModel
+from koopdqn.settings import ReportModel
 from koopdqn.view import schema as view_schema
 
 FILES = Path(__file__).resolve().parents[1] / "docs" / "files.md"

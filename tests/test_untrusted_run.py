@@ -24,9 +24,10 @@ from koopdqn.app import cli
 from koopdqn.app.commands.configuration import Configuration, Inputs
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
-from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, RECORD, SECTIONS, VALUES
+from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, SECTIONS, VALUES
 from koopdqn.artifact import Artifact, read_artifact, write_artifact
 from koopdqn.errors import BadInputError
+from koopdqn.run_folder import RECORD
 from koopdqn.settings import Settings, plain
 from koopdqn.untrusted import trusting
 

@@ -204,9 +204,9 @@ def evaluate(
         BadInputError: demonstrations, intent or policy are of another task, or the policy has other actions; the scene
             does not compile; hardly any start of the region can be taken; or obstacles leave no way.
     """
-    taken, found = ("continuous" if each else "table1" for each in (trained.policy.continuous, config.agent.continuous))
-    if taken != found:
-        raise BadInputError(f"actions: must be those of the policy, {taken}, found {found}")
+    taken = "continuous" if trained.policy.continuous else "table1"
+    if taken != config.inputs.actions:
+        raise BadInputError(f"actions: must be those of the policy, {taken}, found {config.inputs.actions}")
     if trained.policy.task.name != config.task.name:
         raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
     workcell = open_workcell(config)

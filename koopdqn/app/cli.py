@@ -13,107 +13,10 @@ from typing import Annotated, Any, Final
 import typer
 
 from koopdqn import __version__, console
+from koopdqn.app.command_table import COMMANDS, Command
 from koopdqn.app.exit_status import guard, let_go_of_closed_streams, open_missing_streams
 from koopdqn.app.feedback import Debug, feedback_app
 from koopdqn.errors import BadInputError
-
-_COMMANDS = {
-    "demo": (
-        "Generate demonstrations of a task, or record them with the keyboard.",
-        (
-            "koopdqn demo task=shelf",
-            "koopdqn demo task=knife seed=3 out=runs/demos",
-            "koopdqn demo source=keyboard",
-            "koopdqn demo run=DIR  (goes on with a recording)",
-        ),
-    ),
-    "fit": (
-        "Fit the human intent model and its trust domain.",
-        ("koopdqn fit demos=runs/demos/demos.hdf5", "koopdqn fit intent=paper"),
-    ),
-    "train": (
-        "Learn the path; demonstrations and intent model are made first where they are missing.",
-        (
-            "koopdqn train task=shelf",
-            "koopdqn train -m task=shelf,knife seed=0,1",
-            "koopdqn train run=DIR  (goes on where a run stopped)",
-        ),
-    ),
-    "eval": (
-        "Measure a trained run on held-out starts.",
-        ("koopdqn eval", "koopdqn eval run=DIR --json"),
-    ),
-    "correct": (
-        "Correct a stretch of a learned path by keys or waypoints; the rest stays as it is.",
-        (
-            "koopdqn correct run=DIR  (plays the path; stop it and show the better way)",
-            "koopdqn correct run=DIR 'waypoints=[[0.44,-0.06,0.56],[0.45,0.0,0.58]]'",
-            "koopdqn correct run=DIR waypoints=better.csv",
-        ),
-    ),
-    "view": (
-        "Look at a trained run, or at demonstrations, as a page that opens in any browser.",
-        (
-            "koopdqn view",
-            "koopdqn view run=DIR",
-            "koopdqn view demos=demos.hdf5",
-            "koopdqn view run=DIR video=film.mp4",
-            "koopdqn view run=DIR window=true  (MuJoCo's viewer, where there is a display)",
-        ),
-    ),
-    "explain": (
-        "Say why a policy does what it does in one state, or where a path went wrong.",
-        (
-            "koopdqn explain",
-            "koopdqn explain run=DIR start=3",
-            "koopdqn explain run=DIR start=3 step=57 --json",
-            "koopdqn explain run=DIR 'pose=[0.45,-0.2,0.45,0.707,0,0.707,0]'",
-        ),
-    ),
-    "compare": (
-        "Set trained runs of a task side by side: one table, and one page of their paths.",
-        ("koopdqn compare run=DIR run=DIR", "koopdqn compare run=DIR run=DIR run=DIR view.starts=3 --json"),
-    ),
-    "report": (
-        "Draw the paper's figures and tables beside ours, from finished runs; or gather a sweep.",
-        (
-            "koopdqn report",
-            "koopdqn report --make",
-            "koopdqn report 'report.runs=[DIR,DIR]'",
-            "koopdqn report sweep=DIR  (of koopdqn train -m: its runs in one table and plot)",
-        ),
-    ),
-    "import": (
-        "Recognise and read recordings of any kind, check them and keep them as one HDF5 file.",
-        (
-            "koopdqn import log.csv",
-            "koopdqn import logs/*.csv import.units=mm out=runs/mine",
-            "koopdqn import bag.mcap import.pose=tool0",
-        ),
-    ),
-    "inspect": (
-        "Clean demonstrations by named steps and say what they are good for; the source stays as it is.",
-        ("koopdqn inspect logs/*.csv", "koopdqn inspect log.csv inspect.smoothing=false robot=ur5"),
-    ),
-    "export": (
-        "Write a learned path as a robot program, or demonstrations as CSV.",
-        (
-            "koopdqn export run=DIR",
-            "koopdqn export run=DIR 'start=[0.52,-0.2,0.41,0.707,0,0.707,0]'",
-            "koopdqn export demos=runs/mine/demos.hdf5",
-            "koopdqn export demos=demos.hdf5 export.rotation=vector",
-        ),
-    ),
-    "stream": (
-        "Send a learned path to a UR's controller while the arm moves; without --move nothing is sent.",
-        (
-            "koopdqn stream run=DIR",
-            "koopdqn stream run=DIR host=192.168.1.10  (reads where the arm stands)",
-            "koopdqn stream run=DIR host=192.168.1.10 --move  (any key stops the arm)",
-        ),
-    ),
-}
-"""The commands that take a config: what each does, and examples."""
 
 app = typer.Typer(
     name="koopdqn",
@@ -174,11 +77,6 @@ _OWN_OPTIONS: Final = (
     Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=AsJson),
     Parameter("debug", Parameter.KEYWORD_ONLY, default=False, annotation=Debug),
 )
-_FLAGS: Final = {
-    "report": ("make", "Train and evaluate what is missing first; the same as report.make=true."),
-    "stream": ("move", "Move the arm; the same as stream.move=true. Any key stops it."),
-}
-"""The option of its own that a command has, a key of its section, and its help."""
 _HYDRA_OPTIONS: Final = (
     _hydra("--multirun", "-m", bool, "Sweep over comma-separated values."),
     _hydra("--run", "-r", bool, "Run one job (the default)."),
@@ -206,8 +104,8 @@ def _root(
         typer.echo(ctx.get_help())
 
 
-def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
-    flag, text = _FLAGS.get(name, ("", ""))
+def _add_command(name: str, what: Command) -> None:
+    flag, text = what.flag or ("", "")
 
     def command(*, overrides: list[str] | None, as_json: bool, debug: bool, **hydra: Any) -> int:
         given = [*(overrides or []), *([f"{name}.{flag}=true"] if flag and hydra.pop(flag) else [])]
@@ -217,12 +115,12 @@ def _add_command(name: str, summary: str, examples: Sequence[str]) -> None:
     own = [_parameter(flag, bool, False, typer.Option(f"--{flag}", help=text))] if flag else []
     parameters = [*_OWN_OPTIONS, *own, *_HYDRA_OPTIONS]
     command.__signature__ = Signature(parameters, return_annotation=int)  # type: ignore[attr-defined]  # as in PEP 362
-    shown = "\n\n".join(f"[bold]{example}[/]" for example in examples)
-    app.command(name, short_help=summary, help=summary, epilog=f"Examples\n\n{shown}")(command)
+    shown = "\n\n".join(f"[bold]{example}[/]" for example in what.examples)
+    app.command(name, short_help=what.summary, help=what.summary, epilog=f"Examples\n\n{shown}")(command)
 
 
-for _name, (_summary, _examples) in _COMMANDS.items():
-    _add_command(_name, _summary, _examples)
+for _name, _what in COMMANDS.items():
+    _add_command(_name, _what)
 
 
 @app.command("doctor")

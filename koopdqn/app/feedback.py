@@ -10,6 +10,7 @@ import typer
 from koopdqn import console
 from koopdqn.app.exit_status import guard
 from koopdqn.errors import BadInputError
+from koopdqn.run_folder import INTENT, JOURNAL, check_plain, locked
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -72,9 +73,6 @@ def journal_path(given: Path) -> Path:
     Raises:
         BadInputError: there is none, or it is reached by a link within the folder.
     """
-    from koopdqn.oracles.journal import JOURNAL
-    from koopdqn.run_folder import check_plain
-
     if given.is_dir():
         check_plain(given)
     path = given / JOURNAL if given.is_dir() else given
@@ -107,8 +105,7 @@ def show(journals: Sequence[Path], *, as_json: bool) -> int:
 def edit(journal: Path, number: int, answer: str, teacher: str | None, *, drop_later: bool) -> int:
     """Change an answer, say what it is now and what that means for the run, and return 0."""
     from koopdqn.oracles import repair
-    from koopdqn.oracles.journal import JOURNAL, read_records
-    from koopdqn.run_folder import locked
+    from koopdqn.oracles.journal import read_records
 
     path = journal_path(journal)
     with locked(path.parent):
@@ -145,7 +142,6 @@ def _check_allowed(folder: Path, answer: str) -> None:
     """Raise BadInputError if an answer names an action of Table 1 that the task of a folder's run never allows."""
     import numpy as np
 
-    from koopdqn.app.commands.pipeline import INTENT
     from koopdqn.artifact import read_artifact, reading
     from koopdqn.settings import load_settings
     from koopdqn.tasks.actions import legal_actions
@@ -164,11 +160,9 @@ def _check_allowed(folder: Path, answer: str) -> None:
 
 def _learned_answers(folder: Path) -> int:
     """Return how many answers the run in a folder has learned from; 0 if it holds none."""
-    from koopdqn.artifact import read_artifact
-    from koopdqn.rl.checkpoint import KIND, checkpoint_path, questions_asked
+    from koopdqn.rl.checkpoint import latest_checkpoint, questions_asked
 
-    path = checkpoint_path(folder)
-    return questions_asked(read_artifact(path, KIND)) if path.exists() else 0
+    return questions_asked(latest_checkpoint(folder))
 
 
 def _answers(title: str, records: "Records") -> "Table":

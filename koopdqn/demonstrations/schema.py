@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from koopdqn.schema import ReportModel
+from koopdqn.settings import ReportModel
 
 
 class InspectedFile(ReportModel):

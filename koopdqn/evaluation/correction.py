@@ -14,8 +14,7 @@ from koopdqn.files import write_text
 from koopdqn.intent.bend import Bend
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Name, Settings, Vector3, shown
+from koopdqn.settings import Name, ReportModel, Settings, Vector3, shown
 from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.workcell import Workcell

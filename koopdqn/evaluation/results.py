@@ -11,15 +11,9 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import read_json, sha256_of
 from koopdqn.rl.schema import TrainReport
-from koopdqn.run_folder import check_plain
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.run_folder import CHECKPOINT, EVALUATION, POLICY, RECORD, TRAINING, check_plain
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, ReportModel, flaw
 
-TRAINING: Final = "train.json"
-EVALUATION: Final = "eval.json"
-POLICY: Final = "policy.safetensors"
-_OVERRIDES: Final = Path(".hydra") / "overrides.yaml"
-_CHECKPOINT: Final = Path("checkpoints") / "latest.safetensors"
 # What does not tell one variant from another.
 _OF_ONE_RUN: Final = ("command", "out", "run", "seed")
 QUANTITIES: Final = ("success_rate", "deviation_mm", "check_success_rate", "oracle_queries", "seconds")
@@ -39,9 +33,12 @@ def read_report(file: Path, what: str, model: type[Model]) -> dict[str, Any]:
     try:
         return model.model_validate(read_json(file, f"the {what}")).model_dump(mode="json")
     except ValidationError as error:
-        first = error.errors()[0]
-        reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise BadInputError(f"{file} must hold the keys of this release's {what}: {reason}") from error
+        raise BadInputError(f"{file} must hold the keys of this release's {what}: {flaw(error)}") from error
+
+
+def read_training(folder: Path) -> dict[str, Any]:
+    """Return the content of a run's ``train.json``, as :func:`read_report` does."""
+    return read_report(folder / TRAINING, "training report", TrainReport)
 
 
 def find_evaluations(files: Sequence[Path]) -> tuple[Evaluations, dict[Path, str]]:
@@ -130,7 +127,7 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
     """
     if not folder.is_dir():
         raise BadInputError(f"report.sweep: must name a folder that exists, found {str(folder)!r}")
-    given = {file.parents[1]: _given(file) for file in folder.rglob(str(_OVERRIDES))}
+    given = {file.parents[1]: _given(file) for file in folder.rglob(str(RECORD))}
     begun = {place for place, overrides in given.items() if overrides.get("command", "train") == "train"}
     # A correction keeps the report of the training before it.
     corrected = {place for place, overrides in given.items() if overrides.get("command") == "correct"}
@@ -140,7 +137,7 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
         key=lambda place: (place.parent, len(place.name), place.name),
     )
     if not places:
-        rule = f"must hold runs of koopdqn train ({TRAINING} or {_OVERRIDES})"
+        rule = f"must hold runs of koopdqn train ({TRAINING} or {RECORD})"
         raise BadInputError(f"report.sweep: {rule}, found none in {folder}/; `koopdqn train -m seed=0,1,2` makes some")
     evaluations, _ = find_evaluations([file for each in (folder, *elsewhere) for file in each.rglob(EVALUATION)])
     overrides = [given.get(place, {}) for place in places]
@@ -171,7 +168,7 @@ def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], eva
     content |= {"folder": str(place), "overrides": overrides, "seed": int(seed) if seed.isdecimal() else None}
     if (place / TRAINING).is_file():
         try:
-            train = read_report(place / TRAINING, "training report", TrainReport)
+            train = read_training(place)
         except BadInputError as error:
             return SweptRun(state="failed", reason=str(error), **content)
         content |= {key: train[key] for key in ("seed", "learned", "oracle_queries", "seconds")}
@@ -182,7 +179,7 @@ def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], eva
             content |= {"evaluation": str(file), "success_rate": evaluation["success_rate"]}
             content["deviation_mm"] = evaluation["path_deviation_mm"]["mean"]
         return SweptRun(state="finished", reason="", **content)
-    if (place / _CHECKPOINT).is_file():
+    if (place / CHECKPOINT).is_file():
         reason = f"It runs, or was stopped: `koopdqn train run={place}` goes on with it."
         return SweptRun(state="unfinished", reason=reason, **content)
     reason = f"It holds neither {TRAINING} nor a checkpoint: it failed, or has only begun."

@@ -9,8 +9,17 @@ from pydantic import Field
 
 from koopdqn.safety.guard import GuardReport
 from koopdqn.safety.separation import SeparationReport
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive, Settings, Vector3
+from koopdqn.settings import (
+    Count,
+    Fraction,
+    Name,
+    NonNegative,
+    NonNegativeInt,
+    Positive,
+    ReportModel,
+    Settings,
+    Vector3,
+)
 
 IntervalList = Annotated[list[Fraction], Field(min_length=2, max_length=2)]
 

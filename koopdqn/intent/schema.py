@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, Positive, ReportModel
 
 
 class PositionComponents(ReportModel):

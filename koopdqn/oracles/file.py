@@ -14,8 +14,7 @@ from pydantic import Field, ValidationError
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Oracle, OracleSettings, PauseRequested, Question
 from koopdqn.oracles.journal import Action
-from koopdqn.schema import ReportModel, flaw
-from koopdqn.settings import Name, NonNegativeInt, PathText
+from koopdqn.settings import Name, NonNegativeInt, PathText, ReportModel, flaw
 
 if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Workcell

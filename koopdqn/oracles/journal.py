@@ -14,8 +14,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import LARGEST_JSON, parse_json
 from koopdqn.oracles.base import Answer, Earlier
 from koopdqn.run_folder import open_own
-from koopdqn.schema import ReportModel, flaw
-from koopdqn.settings import Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Name, NonNegative, NonNegativeInt, ReportModel, flaw
 from koopdqn.tasks.actions import NAMES
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
@@ -293,10 +292,6 @@ def _without_dropped(lines: list[Line], drop: DropLine) -> list[Line]:
     end = places[drop.number] + 1
     later = (line for line in lines[end:] if isinstance(line, EditLine | OpinionLine) and line.number <= drop.number)
     return [*lines[:end], *later]
-
-
-JOURNAL = "feedback.jsonl"
-"""Name of the journal in a run folder."""
 
 
 class JournalFile:

@@ -23,8 +23,7 @@ from koopdqn.oracles.journal import (
     Records,
     read_records,
 )
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt, ReportModel
 from koopdqn.tasks.actions import SUGGESTED
 
 

@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from koopdqn.safety.separation import SeparationReport
-from koopdqn.schema import ReportModel, Sha256
+from koopdqn.settings import ReportModel, Sha256
 
 
 class LimitsUsed(ReportModel):

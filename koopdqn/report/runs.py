@@ -7,21 +7,19 @@ from typing import Any, Final, NamedTuple
 
 from koopdqn.artifact import read_artifact, reading
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.results import EVALUATION, POLICY, TRAINING, find_evaluations, newest_evaluation, read_report
+from koopdqn.evaluation.results import find_evaluations, newest_evaluation, read_training
 from koopdqn.files import digest
 from koopdqn.intent.bend import CORRECTED
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.reward import RewardSettings
 from koopdqn.intent.trust import TrustSettings
 from koopdqn.report.schema import LeftOut
-from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
-from koopdqn.run_folder import check_plain
+from koopdqn.run_folder import DEMONSTRATIONS, EVALUATION, POLICY, TRAINING, check_plain
 from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
 
-DEMONSTRATIONS: Final = "demos.hdf5"
 ABLATIONS: Final = "ablations"
 """Name of the folder below ``runs/`` whose runs are shown in a table of their own."""
 STUDY: Final = "study"
@@ -131,7 +129,7 @@ def _below(folders: Sequence[Path], name: str) -> list[Path]:
 
 
 def _read(folder: Path) -> Run:
-    train = read_report(folder / TRAINING, "training report", TrainReport)
+    train = read_training(folder)
     if not (folder / DEMONSTRATIONS).is_file():
         raise BadInputError(f"run {folder} must hold {DEMONSTRATIONS}, found none")
     policy = read_artifact(folder / POLICY, "policy")

@@ -5,8 +5,7 @@ from typing import Annotated
 from pydantic import Field, Strict
 
 from koopdqn.evaluation.results import SweptRun, Variant
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Name, NonNegativeInt, PathText, Settings
+from koopdqn.settings import Name, NonNegativeInt, PathText, ReportModel, Settings
 
 
 class ReportSettings(Settings):

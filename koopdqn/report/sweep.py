@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from koopdqn.console import counted
-from koopdqn.evaluation.results import QUANTITIES, TRAINING, SweptRun, Variant, known, variants
+from koopdqn.evaluation.results import QUANTITIES, SweptRun, Variant, known, variants
 from koopdqn.files import write_json, write_text
 from koopdqn.plots.train import plot_sweep
 from koopdqn.report.figures import Figure
 from koopdqn.report.page import PAGE, Block, Section, render
 from koopdqn.report.schema import LeftOut, SweepFile
 from koopdqn.report.tables import Cell, Quantity, Table, left_out
+from koopdqn.run_folder import TRAINING
 
 _MEASURED: Final = (
     Quantity("success [%]", "success_rate", ".0f", 100.0),

@@ -13,21 +13,17 @@ from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checks import Check
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import recorded_arm
+from koopdqn.run_folder import CHECKPOINT
 from koopdqn.settings import load_settings
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
-KIND = "checkpoint"
+_KIND = "checkpoint"
 # Most differences and most characters of a value in a message.
 _SHOWN = 4
 _LONGEST = 40
 _NONE = object()
-
-
-def checkpoint_path(folder: Path) -> Path:
-    """Return the path of a run folder's latest checkpoint."""
-    return folder / "checkpoints" / "latest.safetensors"
 
 
 def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], seconds: float) -> None:
@@ -37,7 +33,17 @@ def save_checkpoint(folder: Path, trainer: Trainer, shaped_by: dict[str, Any], s
     """
     arrays, state = trainer.state()
     about = {"shaped_by": shaped_by, "state": state, "seconds": seconds}
-    write_artifact(checkpoint_path(folder), Artifact(KIND, arrays, about))
+    write_artifact(folder / CHECKPOINT, Artifact(_KIND, arrays, about))
+
+
+def latest_checkpoint(folder: Path) -> Artifact | None:
+    """Return a run folder's latest checkpoint, whatever config it is of, or None if there is none yet.
+
+    Raises:
+        BadInputError: it is damaged.
+    """
+    path = folder / CHECKPOINT
+    return read_artifact(path, _KIND) if path.exists() else None
 
 
 def read_checkpoint(
@@ -54,11 +60,10 @@ def read_checkpoint(
     Raises:
         BadInputError: the checkpoint is damaged, or the run was begun with another config.
     """
-    path = checkpoint_path(folder)
-    if not path.exists():
+    artifact = latest_checkpoint(folder)
+    if artifact is None:
         return None
-    artifact = read_artifact(path, KIND)
-    with reading(f"checkpoint {path}"):
+    with reading(f"checkpoint {folder / CHECKPOINT}"):
         began = dict(artifact.about["shaped_by"])
         if "intent" in began:
             # Runs of earlier commits may use old names of keys.
@@ -78,12 +83,14 @@ def read_checkpoint(
     return artifact
 
 
-def questions_asked(checkpoint: Artifact) -> int:
-    """Return the number of questions asked before a checkpoint was saved.
+def questions_asked(checkpoint: Artifact | None) -> int:
+    """Return the number of questions asked before a checkpoint was saved; 0 where there is none.
 
     Raises:
         BadInputError: the checkpoint does not say.
     """
+    if checkpoint is None:
+        return 0
     with reading("the checkpoint"):
         return int(checkpoint.arrays["feedback/questions"])
 

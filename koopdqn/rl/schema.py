@@ -2,8 +2,7 @@
 
 from pydantic import Field
 
-from koopdqn.schema import ReportModel, Sha256
-from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt
+from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, ReportModel, Sha256
 
 
 class CheckReport(ReportModel):

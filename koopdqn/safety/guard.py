@@ -12,8 +12,7 @@ from koopdqn import pose
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.pose import Array
 from koopdqn.safety.separation import PersonNear
-from koopdqn.schema import ReportModel
-from koopdqn.settings import NonNegative, NonNegativeInt, Positive, Settings
+from koopdqn.settings import NonNegative, NonNegativeInt, Positive, ReportModel, Settings
 from koopdqn.tasks.actions import checked_indices, checked_twists
 from koopdqn.tasks.rollout import RULE_BROKEN, Controller, Episode, roll_out
 from koopdqn.tasks.start_frame import STILL, StartFrame

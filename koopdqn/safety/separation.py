@@ -8,8 +8,7 @@ from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.pose import Array
-from koopdqn.schema import ReportModel
-from koopdqn.settings import NonNegative, Settings, Vector3
+from koopdqn.settings import NonNegative, ReportModel, Settings, Vector3
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import Scene

@@ -10,7 +10,7 @@ from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.paths import SmoothPath, mean_poses
 from koopdqn.pose import Array
-from koopdqn.schema import Sha256
+from koopdqn.settings import Sha256
 from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task

@@ -5,8 +5,17 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict, field_validator
 
-from koopdqn.schema import ReportModel
-from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, PathText, Settings, Vector7
+from koopdqn.settings import (
+    Count,
+    Fraction,
+    Name,
+    NonNegative,
+    NonNegativeInt,
+    PathText,
+    ReportModel,
+    Settings,
+    Vector7,
+)
 
 PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
 

@@ -1,30 +1,14 @@
 """What the commands do with a composed config: one function each, from config and run folder to a result."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
+from koopdqn.app.command_table import COMMANDS
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.errors import BadInputError
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-_COMMANDS: Final = {
-    "demo": ("demonstrations.demo", ("demos", "intent_file")),
-    "fit": ("fit.run", ("run", "intent_file")),
-    "train": ("train.run", ()),
-    "eval": ("eval.run", ("demos", "intent_file")),
-    "correct": ("correct.run", ("demos", "intent_file")),
-    "view": ("view.run", ("intent_file",)),
-    "explain": ("explain.run", ("demos", "intent_file")),
-    "compare": ("compare.run", ("demos", "intent_file")),
-    "report": ("report.run", ("run", "demos", "intent_file")),
-    "import": ("demonstrations.import_", ("run", "intent_file")),
-    "inspect": ("inspection.inspect", ("run", "intent_file")),
-    "export": ("demonstrations.export", ("intent_file",)),
-    "stream": ("program.stream_path", ("demos", "intent_file")),
-}
-"""Where each command is, and the inputs of others that would change nothing here."""
 
 
 def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
@@ -50,12 +34,12 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     from koopdqn.untrusted import targets, trusting
 
     settings = Configuration.load(config)
-    place, foreign = _COMMANDS[command]
-    for key in foreign:
+    what = COMMANDS[command]
+    for key, taken in what.inputs.items():
         value = getattr(settings.inputs, key)
-        if value is not None:
+        if value is not None and not taken:
             found = ", ".join(value) if isinstance(value, tuple) else str(value)
-            takers = ", ".join(sorted(name for name, (_, others) in _COMMANDS.items() if key not in others))
+            takers = ", ".join(sorted(name for name, other in COMMANDS.items() if other.inputs[key]))
             rule = f"must be left out, as koopdqn {command} does not take it"
             raise BadInputError(f"{key.removesuffix('_file')}: {rule}, found {found!r}; taken by: {takers}")
     # What the config names was named by the user: a run's record may name classes of koopdqn alone.
@@ -64,12 +48,10 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:
             warnings.simplefilter("ignore", RuntimeWarning)
-        looked_at = ("eval", "explain", "compare", "export", "stream", "view", "correct")
-        if command in looked_at and settings.inputs.run is not None:
+        if what.looks_at and settings.inputs.run is not None:
             settings = as_trained(with_task(settings, settings.inputs.run, keep=False), settings.inputs.run)
-        elif command in ("fit", "train"):
-            # These keep the demonstrations in their own folder.
+        elif what.demos == "learn":
             settings = with_task(settings, folder, keep=True)
-        module, _, function = place.partition(".")
+        module, _, function = what.function.partition(".")
         result: CommandResult = getattr(import_module(f"{__name__}.{module}"), function)(settings, folder)
     return result

@@ -11,7 +11,6 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
-from koopdqn.app.commands.report import RUNS
 from koopdqn.app.commands.trained import TrainedRun, as_trained, read_trained
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
@@ -20,13 +19,13 @@ from koopdqn.app.hydra.record import GROUPS, read_record
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.metrics import reference_paths
-from koopdqn.evaluation.results import EVALUATION, TRAINING, find_evaluations, newest_evaluation, read_report
+from koopdqn.evaluation.results import find_evaluations, newest_evaluation, read_training
 from koopdqn.files import write_json
 from koopdqn.plots import style
 from koopdqn.pose import POSITION, Array
 from koopdqn.report.runs import SCRIPTED
 from koopdqn.rl.policy import PolicyAround
-from koopdqn.rl.schema import TrainReport
+from koopdqn.run_folder import EVALUATION, RUNS
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out
 from koopdqn.view.motions import Motion, demonstrated_motions, learned_motion, shown_starts
@@ -56,6 +55,7 @@ class _Run:
     folder: Path
     config: Configuration
     trained: TrainedRun
+    train: dict[str, Any]
     keys: dict[str, str]
 
 
@@ -111,11 +111,11 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     keys = _flat({key: known[key] for key in _SHAPING if key in known})
     # Who answered is no part of the config that a trained run is read with.
     asked = {item.key: str(item.value) for item in read_record(place, "a training run") if item.root == "oracle"}
-    told = read_report(place / TRAINING, "training report", TrainReport).get("oracle")
-    keys |= {**asked, "oracle": told or asked.get("oracle", SCRIPTED)}
+    train = read_training(place)
+    keys |= {**asked, "oracle": train["oracle"] or asked.get("oracle", SCRIPTED)}
     keys["corrected"] = "yes" if isinstance(trained.policy, PolicyAround) else "no"
     keys["demonstrations (SHA-256)"] = trained.demonstrations.digest()[:12]
-    return _Run(label, place, own, trained, keys)
+    return _Run(label, place, own, trained, train, keys)
 
 
 def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
@@ -164,15 +164,14 @@ def _motions(each: _Run, colour: str, numbers: Sequence[int], starts: Array, fir
 
 
 def _told(each: _Run, motions: Sequence[Motion]) -> ComparedRun:
-    train = read_report(each.folder / TRAINING, "training report", TrainReport)
     beside = [each.folder.parent.glob(f"*/{EVALUATION}"), each.folder.rglob(EVALUATION)]
     files = dict.fromkeys(file for part in (*beside, RUNS.rglob(EVALUATION)) for file in part)
-    file, evaluation = newest_evaluation(each.folder, train["task"], find_evaluations(list(files))[0])
+    file, evaluation = newest_evaluation(each.folder, each.train["task"], find_evaluations(list(files))[0])
     own = [motion for motion in motions if motion.run is not None and motion.run.startswith(f"{each.label}: ")]
     return ComparedRun(
         label=each.label,
         folder=str(each.folder),
-        **{key: train[key] for key in ("seed", "learned", "seconds", "env_steps", "oracle_queries")},
+        **{key: each.train[key] for key in ("seed", "learned", "seconds", "env_steps", "oracle_queries")},
         evaluation=None if file is None else str(file),
         episodes=None if evaluation is None else evaluation["episodes"],
         success_rate=None if evaluation is None else evaluation["success_rate"],

@@ -12,25 +12,24 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.recording.correcting import CorrectingScreen
 from koopdqn.app.recording.showing import Showing
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
-from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import write_json
 from koopdqn.intent.bend import Bend
 from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.pose import Array
 from koopdqn.rl.policy import Policy, PolicyAround, read_policy, write_corrected
+from koopdqn.run_folder import DEMONSTRATIONS, FIT, INTENT, POLICY, TRAINING
 from koopdqn.tasks.rollout import Episode
 from koopdqn.tasks.workcell import Workcell
 
 NAME = "correct.json"
 SHOWN = "waypoints.csv"
-_KEPT = (pipeline.DEMONSTRATIONS, pipeline.INTENT, TRAINING, "fit.json")
+_KEPT = (DEMONSTRATIONS, INTENT, TRAINING, FIT)
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class _Learned:
         policy, about = read_policy(source / POLICY, config.task)
         if differs_from_trained(config.robot, about["robot"]):
             raise BadInputError(f"robot: must be the arm that the run was trained with, found {config.robot.name}")
-        limit, workcell = step_limit_of(source / TRAINING), pipeline.open_scene(config)
+        limit, workcell = step_limit_of(source), pipeline.open_scene(config)
         controller = policy if policy.bend is None else PolicyAround(policy, policy.bend)
         episode = played(workcell, controller, limit)
         return cls(

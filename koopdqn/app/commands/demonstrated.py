@@ -5,7 +5,7 @@ from pathlib import Path
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import DEMONSTRATIONS, check_kept, declared
+from koopdqn.app.commands.pipeline import check_kept, declared
 from koopdqn.demonstrations.cleaning import without_outliers
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations, blocked_at, find_placement
 from koopdqn.demonstrations.derivation import Derivation, Derived
@@ -14,6 +14,7 @@ from koopdqn.demonstrations.reading import read_demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import agent_steps
 from koopdqn.pose import Array
+from koopdqn.run_folder import DEMONSTRATIONS
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.workcell import Reachability, build_scene, reachability_in
 

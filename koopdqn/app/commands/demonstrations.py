@@ -13,7 +13,6 @@ from rich.console import RenderableType
 from koopdqn import console, pose
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import DEMONSTRATIONS
 from koopdqn.app.hydra.application import CommandResult, how_to_go_on
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -25,6 +24,7 @@ from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.oracles.terminal.device import check_graphics, require_terminal
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
+from koopdqn.run_folder import DEMONSTRATIONS
 from koopdqn.tasks.workcell import Workcell
 
 _TRIED: Final = 1000
@@ -61,7 +61,7 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
         RecordingScreen(recording, workcell, graphics, console.shown_path(path)).run()
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
-    goes_on = f"{how_to_go_on('demo', folder)} goes on"
+    goes_on = how_to_go_on("demo", folder)
     if demonstrations is None:
         raise WorkFailedError(f"no demonstration was kept: e marks the end of one; {goes_on} ({moves} moves under way)")
     remarks = [f"{moves} moves are under way; {goes_on}"] if moves else []

@@ -9,16 +9,15 @@ from rich.console import RenderableType
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import differs_from_trained, read_trained
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.artifact import reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.evaluate import Evaluation, evaluate, work_units
-from koopdqn.evaluation.results import EVALUATION
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import sha256_of, write_json
+from koopdqn.run_folder import EVALUATION, FIT_PICTURE, POLICY, TRAINING_PICTURE
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.workcell import Workcell
 
@@ -79,7 +78,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if config.eval.video:
         _film(film, workcell, demonstrations, drawn, evaluation)
         lines.append(f"film            {console.shown_path(film)}")
-    for name, file in (("training curve", "train.png"), ("fit errors", "fit.png")):
+    for name, file in (("training curve", TRAINING_PICTURE), ("fit errors", FIT_PICTURE)):
         if (source / file).exists():
             lines.append(f"{name:<14}  {console.shown_path(source / file)}")
     return CommandResult(report, lines, objective=report["success_rate"])

@@ -15,6 +15,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.metrics import hausdorff_mm
 from koopdqn.intent.fit import Fitted
+from koopdqn.run_folder import FIT, FIT_PICTURE, INTENT
 from koopdqn.tasks.workcell import Workcell
 
 
@@ -34,9 +35,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             " calibrated coverage"
         )
     lines += [
-        f"intent   {console.shown_path(folder / pipeline.INTENT)}",
-        f"report   {console.shown_path(folder / 'fit.json')}",
-        f"picture  {console.shown_path(folder / 'fit.png')}",
+        f"intent   {console.shown_path(folder / INTENT)}",
+        f"report   {console.shown_path(folder / FIT)}",
+        f"picture  {console.shown_path(folder / FIT_PICTURE)}",
     ]
     roll_out = report["roll_out_error_m"]
     return CommandResult(report, lines, objective=None if roll_out is None else roll_out["median_hausdorff"])

@@ -8,7 +8,6 @@ from rich.text import Text
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrations import read_and_cut, recognised
-from koopdqn.app.commands.pipeline import DEMONSTRATIONS
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.cleaning import STEPS, Cleaned, clean, without_outliers
 from koopdqn.demonstrations.dataset import Demonstrations
@@ -20,6 +19,7 @@ from koopdqn.demonstrations.schema import InspectedDemonstration, InspectedFile,
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_json
 from koopdqn.intent.fit import check_shown
+from koopdqn.run_folder import DEMONSTRATIONS
 
 _COLOURS = {"good": "green", "look": "yellow", "bad": "bold red"}
 

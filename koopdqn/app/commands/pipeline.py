@@ -22,15 +22,13 @@ from koopdqn.intent.fit import Fitted, agent_steps, fit
 from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.pose import POSITION, Array
+from koopdqn.run_folder import DEMONSTRATIONS, FIT, FIT_PICTURE, INTENT
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import Scene
     from koopdqn.view.motions import Motion
 
-DEMONSTRATIONS = "demos.hdf5"
-INTENT = "intent.npz"
-POLICY = "policy.safetensors"
 _SHORT = 0.8
 """A model's way that is so much shorter than the demonstrations leaves part of them out; people's that do not come back
 over the same place are at 0.92 and more."""
@@ -141,8 +139,8 @@ def fitted_intent(
     for line in _doubts(fitted.report):
         console.warn(line)
     stored = StoredIntent(fitted.model, fitted.trust, config.intent, demonstrations.digest())
-    write_json(folder / "fit.json", fitted.report)
-    plot_fit(folder / "fit.png", fitted, demonstrations, config.task)
+    write_json(folder / FIT, fitted.report)
+    plot_fit(folder / FIT_PICTURE, fitted, demonstrations, config.task)
     # Last, since a run that goes on takes this file as the sign that all was made.
     stored.write(folder / INTENT, config.task)
     return stored, fitted

@@ -10,7 +10,6 @@ import numpy as np
 from koopdqn import console, pose
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.eval import near_person
-from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.commands.trained import read_trained
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
@@ -28,6 +27,7 @@ from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
 from koopdqn.rl.policy import tube_of
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.ur import URArm
+from koopdqn.run_folder import POLICY
 from koopdqn.safety.guard import Guard
 from koopdqn.safety.separation import SeparationReport, separation, separation_report
 from koopdqn.tasks.demonstrated import DemonstratedTask

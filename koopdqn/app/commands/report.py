@@ -12,7 +12,7 @@ from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.evaluation.results import EVALUATION, TRAINING, find_sweep
+from koopdqn.evaluation.results import find_sweep
 from koopdqn.intent.model import IntentSettings
 from koopdqn.report import sweep
 from koopdqn.report.data import INTENTS, Intents
@@ -31,10 +31,9 @@ from koopdqn.report.runs import (
     group_runs,
 )
 from koopdqn.report.schema import LeftOut, ReportSettings
+from koopdqn.run_folder import DEMONSTRATIONS, EVALUATION, POLICY, RUNS, TRAINING
 from koopdqn.settings import load_settings
 from koopdqn.tasks.task import Task
-
-RUNS = Path("runs")
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -55,7 +54,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     if not groups:
         where = ", ".join(f"{path}/" for path in settings.runs) or f"{RUNS}/"
         raise BadInputError(
-            f"report.runs: must hold finished training runs (train.json, policy.safetensors, demos.hdf5) of task shelf"
+            f"report.runs: must hold finished training runs ({TRAINING}, {POLICY}, {DEMONSTRATIONS}) of task shelf"
             f" or knife, found none in {where}{_reasons(left_out)}; `koopdqn report --make` trains them, and"
             f" `koopdqn train task=shelf` one"
         )

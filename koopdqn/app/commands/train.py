@@ -8,20 +8,17 @@ from typing import Any
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.hydra.application import CommandResult, how_to_go_on, in_sweep, record_continued
 from koopdqn.artifact import reading
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import BY_MODEL, IntentReward
 from koopdqn.oracles.base import Oracle
-from koopdqn.oracles.journal import JOURNAL
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.checkpoint import EventLog, checkpoint_path, questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import EventLog, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.checks import Check
 from koopdqn.rl.human_reward import Budget, answering
 from koopdqn.rl.network import size
@@ -29,11 +26,10 @@ from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
+from koopdqn.run_folder import BEGUN, CHECKPOINT, JOURNAL, POLICY, TRAINING, TRAINING_PICTURE
 from koopdqn.settings import shown
 from koopdqn.tasks.workcell import Workcell
 from koopdqn.view.dashboard import Dashboard, fits
-
-BEGUN = "begun.json"
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -41,7 +37,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     try:
         return _run(config, folder)
     except BaseException as error:
-        error.add_note(_goes_on(folder))
+        error.add_note(how_to_go_on("train", folder))
         raise
 
 
@@ -64,7 +60,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     config = pipeline.as_fitted(config, intent)
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by, earlier, config.robot)
-    answered = 0 if checkpoint is None else questions_asked(checkpoint)
+    answered = questions_asked(checkpoint)
     before = 0.0 if checkpoint is None else float(checkpoint.about["seconds"])
     shown_paths = agent_steps(demonstrations, config.task)
     reward = pipeline.reward_of(config, workcell, intent, shown_paths)
@@ -72,7 +68,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     oracle = JournalledOracle(opened, folder / JOURNAL, answered)
     trainer = trainer_of(config, workcell, reward, shown_paths, oracle)
     if checkpoint is not None:
-        with reading(f"checkpoint {checkpoint_path(folder)}"):
+        with reading(f"checkpoint {folder / CHECKPOINT}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
     record_continued()
@@ -90,7 +86,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     # Here and not before: matplotlib takes a while to load, and learning need not wait for it.
     from koopdqn.plots.train import plot_training
 
-    plot_training(folder / "train.png", trainer.history, report)
+    plot_training(folder / TRAINING_PICTURE, trainer.history, report)
     return CommandResult(
         report,
         _lines(report, folder, trainer),
@@ -117,18 +113,13 @@ def trainer_of(
     )
 
 
-def _goes_on(folder: Path) -> str:
-    return f"{how_to_go_on('train', folder)} goes on"
-
-
 def _check_threads(config: Configuration) -> None:
     """Raise if a journal that is given again is of a run with another number of threads, as its report says."""
     journal = getattr(config.oracle, "journal", None)
     report = None if journal is None else Path(journal).parent / TRAINING
     if report is None or not report.is_file():
         return
-    content = read_json(report, "the training report")
-    recorded = content.get("threads") if isinstance(content, dict) else None
+    recorded = _threads_in(report, "the training report")
     if recorded not in (None, config.train.threads):
         raise BadInputError(
             f"train.threads: must be that of the run whose journal is given again ({shown(recorded)}, {report}), found"
@@ -144,13 +135,17 @@ def _check_begun(config: Configuration, folder: Path) -> None:
     path = folder / BEGUN
     if not path.exists():
         return
-    content = read_json(path, "what the run was begun with")
-    recorded = content.get("threads") if isinstance(content, dict) else None
+    recorded = _threads_in(path, "what the run was begun with")
     if isinstance(recorded, bool) or recorded != config.train.threads:
         raise BadInputError(
             f"train.threads: must be {shown(recorded)}, with which the run in {folder} was begun, found"
             f" {config.train.threads}: sums in another order end in other bits"
         )
+
+
+def _threads_in(path: Path, what: str) -> Any:
+    content = read_json(path, what)
+    return content.get("threads") if isinstance(content, dict) else None
 
 
 def _learn(
@@ -250,7 +245,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / TRAINING)}",
-        f"training curve  {console.shown_path(folder / 'train.png')}",
+        f"training curve  {console.shown_path(folder / TRAINING_PICTURE)}",
     ]
 
 
@@ -258,7 +253,7 @@ def _spent(trainer: Trainer, folder: Path) -> list[str]:
     """Return a remark if training ended because no more questions may be asked."""
     if trainer.learned or not trainer.feedback.stopped:
         return []
-    return [f"stopped by oracle.budget={trainer.questions}: {_goes_on(folder)} with a larger one"]
+    return [f"stopped by oracle.budget={trainer.questions}: {how_to_go_on('train', folder)} with a larger one"]
 
 
 def _cut_short(trainer: Trainer) -> list[str]:

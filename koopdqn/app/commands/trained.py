@@ -3,36 +3,33 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
-from koopdqn.app.commands.pipeline import POLICY
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
-from koopdqn.artifact import described, read_artifact, reading
+from koopdqn.artifact import below, described, read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
-from koopdqn.evaluation.results import TRAINING
 from koopdqn.files import read_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import IntentReward, RewardSettings
 from koopdqn.intent.storage import StoredIntent, read_intent
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
-from koopdqn.rl import checkpoint
+from koopdqn.rl.checkpoint import latest_checkpoint
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import recorded_arm
+from koopdqn.run_folder import CHECKPOINT, INTENT, POLICY, TRAINING
 from koopdqn.settings import load_settings, shown
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
-
-_FEEDBACK: Final = "feedback/"
 
 _LONGEST = 1_000_000
 """The most steps that an episode may be given."""
@@ -73,8 +70,8 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     """
     policy, about = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
-    intent = read_intent(source / pipeline.INTENT, config.task)
-    limit = step_limit_of(source / TRAINING)
+    intent = read_intent(source / INTENT, config.task)
+    limit = step_limit_of(source)
     workcell = pipeline.open_scene(config)
     trajectories = agent_steps(demonstrations, config.task)
     reward = pipeline.reward_of(config, workcell, intent, trajectories)
@@ -89,11 +86,10 @@ def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Fee
         BadInputError: the checkpoint is damaged.
     """
     feedback = Feedback(trained.reward, ScriptedOracle(config.task), config.feedback)
-    path = checkpoint.checkpoint_path(source)
-    if path.is_file():
-        arrays = read_artifact(path, checkpoint.KIND).arrays
-        with reading(f"checkpoint {path}"):
-            feedback.restore({k.removeprefix(_FEEDBACK): v for k, v in arrays.items() if k.startswith(_FEEDBACK)})
+    checkpoint = latest_checkpoint(source)
+    if checkpoint is not None:
+        with reading(f"checkpoint {source / CHECKPOINT}"):
+            feedback.restore(below(checkpoint.arrays, "feedback/"))
     return feedback
 
 
@@ -108,9 +104,9 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     """
     policy = run / POLICY
     about = read_artifact(policy, "policy").about
-    taken, found = ("continuous" if each else "table1" for each in ("actions" in about, config.agent.continuous))
-    if taken != found:
-        raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {found}")
+    taken = "continuous" if "actions" in about else "table1"
+    if taken != config.inputs.actions:
+        raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {config.inputs.actions}")
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
         robot = recorded_arm(about["robot"], config.robot)
@@ -144,12 +140,13 @@ def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:
     return described(mine) != described(its)
 
 
-def step_limit_of(path: Path) -> int:
-    """Return the step limit of the training report at a path, ``train.json``.
+def step_limit_of(run: Path) -> int:
+    """Return the step limit that a run's training report says.
 
     Raises:
         BadInputError: the file is missing, or holds none.
     """
+    path = run / TRAINING
     report = read_json(path, "the training report")
     limit = report.get("step_limit") if isinstance(report, dict) else None
     if not isinstance(limit, int) or isinstance(limit, bool) or not 1 <= limit <= _LONGEST:

@@ -7,6 +7,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
+from koopdqn.app.commands.demonstrations import sources_of
 from koopdqn.app.commands.trained import feedback_of, read_trained
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.app.hydra.compose import composed
@@ -84,9 +85,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
 
 
 def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
-    sources = config.inputs.demos
-    if sources is None:
-        raise BadInputError("demos: must name the files to show where run= names no run, found none")
+    sources = sources_of(config, "show")
     read = read_files(sources, config.import_, config.robot)
     demonstrations = together(read, config.chosen.name, config.robot.name, any_task=True, cut=bool(config.import_.cut))
     task = _task_of(config, read[0].task)

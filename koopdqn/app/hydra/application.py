@@ -19,11 +19,10 @@ from koopdqn import console
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.folder import register_resolver, release_taken, require_new
 from koopdqn.app.hydra.overrides import going_on
-from koopdqn.app.hydra.record import RECORD
 from koopdqn.errors import BadInputError
 from koopdqn.files import atomic_path
 from koopdqn.resources import conf_dir
-from koopdqn.run_folder import locked
+from koopdqn.run_folder import RECORD, locked
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -115,7 +114,7 @@ def record_continued() -> None:
 
 
 def how_to_go_on(command: str, folder: Path) -> str:
-    """Return the command that goes on with the present one in its run folder, as a shell takes it."""
+    """Return what goes on with the present command in its run folder, as a shell takes it: "koopdqn … goes on"."""
     from hydra.core.hydra_config import HydraConfig
 
     option = {"command-line": "--config-dir", "main": "--config-path"}
@@ -125,7 +124,7 @@ def how_to_go_on(command: str, folder: Path) -> str:
         if source.provider in option and source.path != str(conf_dir())
     ]
     command, *rest = going_on(command, folder)
-    return shlex.join(["koopdqn", command, *own, *rest])
+    return f"{shlex.join(['koopdqn', command, *own, *rest])} goes on"
 
 
 def run(

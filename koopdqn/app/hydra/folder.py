@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from koopdqn.errors import BadInputError
-from koopdqn.run_folder import check_plain, hold, release
+from koopdqn.run_folder import RECORD, check_plain, hold, release
 
 # Hydra writes it before it looks whether the first job's config can be composed, and writes it anew.
 _OF_A_SWEEP: Final = "multirun.yaml"
@@ -90,7 +90,7 @@ def _checked(path: object) -> str:
     if path is None or not text.strip():
         raise BadInputError(f"out: must name a folder, found {path!r}")
     require_new(Path(text))
-    record = Path(text) / ".hydra"
+    record = Path(text) / RECORD.parent
     # Hydra writes there, through links too.
     if record.is_symlink() or (record.exists() and not record.is_dir()):
         raise BadInputError(f"out: must name a new or an empty folder, found {text!r}, whose .hydra is no folder")

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from koopdqn.app.command_table import COMMANDS
 from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record, said_again
 from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError
+from koopdqn.run_folder import DEMONSTRATIONS, INTENT, JOURNAL, POLICY, RUNS, TRAINING
 from koopdqn.settings import shown
 
 PATH_KEYS: Final = (
@@ -37,21 +39,12 @@ _SHORT_NAMES: Final = {
     "sweep": "report.sweep",
     "start": "program.start",
     "host": "stream.host",
-    "goal": "eval.goal",
     "waypoints": "correct.waypoints",
 }
-_OWN_KEYS: Final = {"eval": ("video",), "view": ("video", "window"), "explain": ("start", "step", "pose")}
-"""A command's own keys that need no prefix."""
-_CONTINUED: Final = {"train": "a training run", "demo": "a recording"}
-"""Commands that go on with ``run=DIR``, and what DIR is of."""
 _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
 """Keys without effect from Python."""
-_TAKES_FILES: Final = ("import", "inspect")
-"""Commands whose files may stand alone."""
-_MOST_COMPARED: Final = 6
-_COPIES: Final = {"demos": "demos.hdf5", "intent_file": "intent.npz"}
+_COPIES: Final = {"demos": DEMONSTRATIONS, "intent_file": INTENT}
 """Inputs that a run keeps a copy of, and its name."""
-_JOURNAL: Final = "feedback.jsonl"
 
 
 @dataclass(frozen=True)
@@ -68,25 +61,23 @@ class Prepared:
 
 
 def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -> Prepared:
-    """Return the overrides that Hydra gets for a command.
+    """Return the overrides that Hydra gets for a command, by what the table says of it.
 
     - Every override must read ``key=value`` (or ``~key``), with Hydra's prefixes ``+``, ``++``, ``~``.
-    - Short names become long ones (`_SHORT_NAMES`, `_OWN_KEYS`), and ``obstacles=FILE`` becomes ``task.obstacles=``
-      with what the file holds.
+    - Short names become long ones (`_SHORT_NAMES`, and the command's ``own_keys``), and ``obstacles=FILE`` becomes
+      ``task.obstacles=`` with what the file holds.
     - ``intent=FILE`` becomes ``intent_file=FILE``: the value holds a path separator, ends as an intent
       model does, or is an existing file. Any other value of ``intent`` picks from the config group.
     - Values of the `PATH_KEYS`, and the name of ``import.pose=``, are quoted when they hold characters of Hydra's
       grammar (a space, a bracket) or read as a number, and a leading ``~`` is the home folder. ``demos=`` may be a list
       in brackets, which is Hydra's own grammar, unless a file is named so.
-    - ``train run=DIR`` and ``demo run=DIR`` go on in DIR: the overrides recorded in ``DIR/.hydra`` come first, the new
-      ones after them; the run folder is DIR, whose record takes the new ones once the run has. The record is data
+    - Where a command goes on in DIR the overrides recorded in ``DIR/.hydra`` come first, the new ones after them; the
+      run folder is DIR, whose record takes the new ones once the run has. The record is data
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps a copy of are read from there,
       wherever the files first given are by now. Where another oracle is given, the recorded one's settings go.
-    - Commands that look at a trained run take the overrides recorded there first, so that task and robot are the run's
-      own; ``eval``, ``explain`` and ``view`` without ``run=`` look at the newest below ``runs/``, and ``compare`` takes
-      several, everything from the first.
-    - ``import`` and ``inspect`` also take files alone, without ``demos=``. They, ``export`` and ``view demos=`` work on
-      demonstrations of any kind: without ``task=`` theirs is the one that demonstrations define.
+    - Where it looks at a trained run the overrides recorded there come first, so that task and robot are the run's own;
+      of several runs, those of the first.
+    - Demonstrations of any task are of the one that they define, unless ``task=`` is given.
     - ``command=`` is set to the command's name.
 
     Args:
@@ -98,51 +89,57 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         BadInputError: an override is no override, ``command=`` was given, or ``run=`` names no run
             that can be continued.
     """
-    if command in _TAKES_FILES:
+    what = COMMANDS[command]
+    if what.demos == "files":
         overrides = _with_files(overrides)
-    if command == "compare":
-        overrides = _with_runs(overrides)
+    if what.most_runs > 1:
+        overrides = _with_runs(overrides, what.most_runs)
     prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
-    if command == "stream" and multirun:
-        raise BadInputError("--multirun: koopdqn stream moves one arm once, found it asked for several")
-    folders = [_value(override) for override in prepared if _key(override) == "run"]
-    named = bool(folders) and folders[-1] != "null"
-    if command in ("view", "export") and named and "demos" in keys:
+    if what.once and multirun:
+        raise BadInputError(f"--multirun: koopdqn {command} {what.once}, found it asked for several")
+    named = [_value(override) for override in prepared if _key(override) == "run"]
+    folder = named[-1] if named and named[-1] != "null" else None
+    any_task = what.demos in ("any", "files")
+    shows_demonstrations = any_task and "demos" in keys
+    if what.looks_at and folder is not None and shows_demonstrations:
         raise BadInputError(f"demos: koopdqn {command} takes either run= or demos=, found both")
-    if command == "compare":
+    if what.most_runs > 1:
         _check_compared(prepared)
-    if command == "correct" and not named:
-        raise BadInputError("run: must name the trained run to correct, found none")
-    if (
-        command in ("eval", "explain", "compare", "correct")
-        or (command in ("export", "stream") and named)
-        or (command == "view" and "demos" not in keys)
-    ):
-        return _with_run(command, prepared, folders[-1] if named else str(newest_trained_run()))
-    if command in ("import", "inspect", "export", "view") and "task" not in keys:
+    if what.looks_at == "needed" and folder is None:
+        raise BadInputError(f"run: must name the trained run to {command}, found none")
+    if what.looks_at == "newest" and folder is None and not shows_demonstrations:
+        folder = str(_newest_trained_run())
+    if what.looks_at and folder is not None:
+        return _looking_at(folder, command, prepared)
+    if any_task and "task" not in keys:
         prepared = ["task=demonstrated", *prepared]
-    if command not in _CONTINUED or not named:
-        return Prepared([*prepared, f"command={command}"])
+    if what.goes_on_with and folder is not None:
+        return _going_on_in(folder, command, prepared, multirun=multirun)
+    return Prepared([*prepared, f"command={command}"])
+
+
+def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun: bool) -> Prepared:
+    keys = [_key(override) for override in prepared]
     if multirun:
         raise BadInputError(f"run: {command} run=DIR goes on in one folder and cannot be combined with --multirun")
     if "out" in keys:
         raise BadInputError(f"out: {command} run=DIR goes on in DIR, so that out= cannot be given as well")
-    folder = folders[-1]
     given = {_name(override) for override in prepared}
     recorded = [item for item in _recorded(folder, command) if item.name not in given]
     if "oracle" in given:
         # Who answers may change within a run; the settings were those of who answered before.
         recorded = [item for item in recorded if item.root != "oracle"]
-    copied = _copied(command, Path(folder), recorded)
+    copied = _copied(Path(folder), recorded)
     # That an intent was given still says whose settings hold.
-    own_intent = [f"intent_file={_text(f'{folder}/{name}')}" for key, name in _COPIES.items() if key == "intent_file"]
     given_intent = "intent_file" in copied and any(item.key == "intent_file" for item in recorded)
+    own_intent = [f"intent_file={_text(f'{folder}/{INTENT}')}"] if given_intent else []
+    paths = [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
     merged = [
-        *check_record(recorded, Path(folder), _trusted(prepared), [*_paths(keys), *copied]),
-        *(own_intent if given_intent else []),
+        *check_record(recorded, Path(folder), _trusted(prepared), [*paths, *copied]),
+        *own_intent,
         *prepared,
         f"command={command}",
         f"out={_text(folder)}",
@@ -159,7 +156,7 @@ def going_on(command: str, folder: Path) -> list[str]:
         BadInputError: the run's record is missing or damaged.
     """
     recorded = _recorded(str(folder), command)
-    return [command, f"run={shown_path(folder)}", *said_again(recorded, _copied(command, folder, recorded))]
+    return [command, f"run={shown_path(folder)}", *said_again(recorded, _copied(folder, recorded))]
 
 
 def _with_files(overrides: Sequence[str]) -> list[str]:
@@ -174,45 +171,35 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
     return [f"demos=[{','.join(literal(str(Path(each).expanduser())) for each in files)}]", *rest]
 
 
-def _with_runs(overrides: Sequence[str]) -> list[str]:
+def _with_runs(overrides: Sequence[str], most: int) -> list[str]:
     """Return the overrides with every ``run=DIR`` gathered in ``compare.runs=``, the first of them kept."""
     folders = [_value(each) for each in overrides if _key(each) == "run"]
     rest = [each for each in overrides if _key(each) != "run"]
     if any(_key(each) == "compare.runs" for each in rest):
         raise BadInputError("compare.runs: is given as run=DIR run=DIR, found compare.runs=")
-    if not 2 <= len(folders) <= _MOST_COMPARED:
-        raise BadInputError(
-            f"run: koopdqn compare needs 2 to {_MOST_COMPARED} runs (run=DIR run=DIR), found {len(folders)}"
-        )
+    if not 2 <= len(folders) <= most:
+        raise BadInputError(f"run: koopdqn compare needs 2 to {most} runs (run=DIR run=DIR), found {len(folders)}")
     return [*rest, f"run={_text(folders[0])}", f"compare.runs=[{','.join(map(literal, folders))}]"]
 
 
 def _check_compared(prepared: Sequence[str]) -> None:
     """Raise BadInputError for what ``compare`` would not heed: its runs are what they were trained as."""
+    heeded = ("run", "compare", "out", "eval", "trust_modules", "hydra")
     for override in prepared:
-        root, _, rest = _key(override).partition(".")
-        if root not in ("run", "compare", "out", "eval", "trust_modules", "hydra") and (root, rest) != (
-            "view",
-            "starts",
-        ):
-            raise BadInputError(
-                f"{_key(override)}: koopdqn compare shows its runs as they were trained, found {shown(override)}"
-            )
+        key = _key(override)
+        if key != "view.starts" and key.partition(".")[0] not in heeded:
+            raise BadInputError(f"{key}: koopdqn compare shows its runs as they were trained, found {shown(override)}")
 
 
-def newest_trained_run() -> Path:
-    """Return the folder of the newest finished training run below ``runs/``.
-
-    Raises:
-        BadInputError: there is none.
-    """
-    finished = [path for path in Path("runs").rglob("train.json") if (path.parent / "policy.safetensors").is_file()]
+def _newest_trained_run() -> Path:
+    """Return the folder of the newest finished training run below ``runs/``; BadInputError if there is none."""
+    finished = [path for path in RUNS.rglob(TRAINING) if (path.parent / POLICY).is_file()]
     if not finished:
         raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
     return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 
-def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
+def _looking_at(folder: str, command: str, prepared: Sequence[str]) -> Prepared:
     given = {_name(override) for override in prepared}
     # A run's own inputs lie in its folder, and nobody is asked any more.
     unread = ("demos", "intent_file", "oracle")
@@ -224,18 +211,12 @@ def _with_run(command: str, prepared: list[str], folder: str) -> Prepared:
     return Prepared([*own, *rest, f"run={_text(folder)}", f"command={command}"])
 
 
-def _paths(keys: Iterable[str]) -> list[str]:
-    return [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
-
-
-def _copied(command: str, folder: Path, recorded: Iterable[Recorded]) -> list[str]:
+def _copied(folder: Path, recorded: Iterable[Recorded]) -> list[str]:
     """Return the keys of the inputs that a run keeps a copy of."""
-    if command != "train":
-        return []
     copied = [key for key, name in _COPIES.items() if (folder / name).is_file()]
     # A person's answers are added to those that the run began with; a replay reads its journal to the end.
     at_terminal = any(item.key == "oracle" and item.value == "terminal" for item in recorded)
-    return [*copied, "oracle.journal"] if at_terminal and (folder / _JOURNAL).is_file() else copied
+    return [*copied, "oracle.journal"] if at_terminal and (folder / JOURNAL).is_file() else copied
 
 
 def _trusted(prepared: Iterable[str]) -> list[str]:
@@ -267,7 +248,7 @@ def as_hydra_takes_it(override: str) -> str:
 
 def _prepare_one(command: str, override: str) -> str:
     name, equals, value = override.partition("=")
-    if not _is_override(override):
+    if not (override.startswith("~") or (equals and name.strip("+ "))):
         raise BadInputError(f"an override must read key=value, found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
@@ -275,12 +256,13 @@ def _prepare_one(command: str, override: str) -> str:
         raise BadInputError(f"{name}: must name an option, found {value}")
     if name == "obstacles":
         return _obstacles(value)
-    if name == "goal" and command != "eval":
+    own_keys = COMMANDS[command].own_keys
+    if name == "goal" and name not in own_keys:
         raise BadInputError(
             f"goal: koopdqn {command} goes to the goal that was demonstrated, found {shown(value)}; koopdqn eval takes"
             " another"
         )
-    name = f"{command}.{name}" if name in _OWN_KEYS.get(command, ()) else _SHORT_NAMES.get(name, name)
+    name = f"{command}.{name}" if name in own_keys else _SHORT_NAMES.get(name, name)
     if name in (*PATH_KEYS, "import.pose") and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
@@ -300,11 +282,6 @@ def _grammar(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(_grammar(each) for each in value)}]"
     return literal(value) if isinstance(value, str) else repr(value)
-
-
-def _is_override(text: str) -> bool:
-    name, equals, _ = text.partition("=")
-    return text.startswith("~") or bool(equals and name.strip("+ "))
 
 
 def _is_list(value: str) -> bool:
@@ -360,7 +337,7 @@ def _value(override: str) -> str:
 
 
 def _recorded(folder: str, command: str, *, measured: bool = False) -> list[Recorded]:
-    what = _CONTINUED[command]
+    what = COMMANDS[command].goes_on_with
     if not folder.strip():
         raise BadInputError(f"run: must name the folder of {what}, found ''")
     recorded = read_record(Path(folder), what)

@@ -8,12 +8,9 @@ from typing import Any, Final
 
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.resources import check_asset
-from koopdqn.run_folder import check_plain
+from koopdqn.run_folder import RECORD, check_plain
 from koopdqn.settings import shown
 from koopdqn.untrusted import TARGET, check_target
-
-RECORD: Final = Path(".hydra") / "overrides.yaml"
-"""Where Hydra writes the overrides of a run, in its folder."""
 
 GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "actions", "preset")
 """The config groups."""
@@ -105,9 +102,7 @@ def check_record(
         BadInputError: an override names a class of another module, or a path outside the folder.
     """
     kept = []
-    for item in recorded:
-        if item.root in _OF_THE_COMMAND or item.key in replaced:
-            continue
+    for item in _that_hold(recorded, replaced):
         for key, value in _leaves(item.key, item.value):
             _check_leaf(key, value, folder, trusted)
         kept.append(item.text)
@@ -120,15 +115,17 @@ def said_again(recorded: Iterable[Recorded], replaced: Collection[str]) -> list[
     They are paths, which may lie elsewhere, but for the keys ``replaced``, and modules of classes not koopdqn's.
     """
     said, modules = [], set()
-    for item in recorded:
-        if item.root in _OF_THE_COMMAND or item.key in replaced:
-            continue
+    for item in _that_hold(recorded, replaced):
         leaves = [(key.rpartition(".")[2], value) for key, value in _leaves(item.key, item.value)]
         modules |= {str(value).rpartition(".")[0] for last, value in leaves if last == TARGET}
         if any(last in PATH_NAMES and value is not None for last, value in leaves):
             said.append(item.text)
     own = sorted(module for module in modules if module.partition(".")[0] != "koopdqn")
     return [*said, *([f"trust_modules=[{','.join(own)}]"] if own else [])]
+
+
+def _that_hold(recorded: Iterable[Recorded], replaced: Collection[str]) -> list[Recorded]:
+    return [item for item in recorded if item.root not in _OF_THE_COMMAND and item.key not in replaced]
 
 
 def _texts(path: Path) -> list[str]:

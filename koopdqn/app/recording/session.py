@@ -13,8 +13,7 @@ from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import digest
 from koopdqn.oracles.journal import JournalFile, read_lines
-from koopdqn.schema import ReportModel, Sha256
-from koopdqn.settings import Name, NonNegative, NonNegativeInt, Positive, Settings, shown
+from koopdqn.settings import Name, NonNegative, NonNegativeInt, Positive, ReportModel, Settings, Sha256, shown
 from koopdqn.tasks.workcell import Workcell
 
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 from pydantic import Field
 
 from koopdqn.oracles.base import Oracle, OracleSettings
-from koopdqn.oracles.journal import JOURNAL, read_records
+from koopdqn.oracles.journal import read_records
 from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_terminal
+from koopdqn.run_folder import JOURNAL
 from koopdqn.settings import Name, PathText
 
 if TYPE_CHECKING:
