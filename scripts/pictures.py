@@ -32,9 +32,9 @@ from koopdqn.console import LiteralConsole
 from koopdqn.errors import WorkFailedError
 from koopdqn.files import write_text
 from koopdqn.oracles.base import Answer, Oracle, Question
-from koopdqn.oracles.terminal.graphics import PICTURE_SIZE, block_lines
-from koopdqn.oracles.terminal.picture import SituationCamera
-from koopdqn.oracles.terminal.screen import Shown, compose, region
+from koopdqn.oracles.terminal.picture import SituationCamera, block_lines
+from koopdqn.oracles.terminal.screen import Shown, compose
+from koopdqn.oracles.terminal.window import PICTURE_SIZE, region
 from koopdqn.plots.style import DEMONSTRATED, picture, rgba, show_image
 from koopdqn.plots.workflow import plot_workflow
 from koopdqn.pose import POSITION

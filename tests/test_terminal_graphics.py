@@ -11,7 +11,7 @@ from PIL import Image
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.terminal.device import check_graphics, choose_graphics
-from koopdqn.oracles.terminal.graphics import block_lines, kitty, lettered, png, sixel
+from koopdqn.oracles.terminal.picture import block_lines, kitty, lettered, png, sixel
 
 PLAIN = {"TERM": "xterm-256color"}
 TMUX = {"TERM": "tmux-256color", "TMUX": "/tmp/tmux-0/default,1,0"}

@@ -11,7 +11,8 @@ from rich.text import Text
 from koopdqn.oracles.base import Answer, Earlier, Question
 from koopdqn.oracles.terminal import screen
 from koopdqn.oracles.terminal.picture import SituationCamera, magnification, magnified
-from koopdqn.oracles.terminal.screen import Shown, compose, help_lines, region
+from koopdqn.oracles.terminal.screen import Shown, compose, help_lines
+from koopdqn.oracles.terminal.window import region
 from koopdqn.pose import POSITION, QUATERNION, position_distance, rotation_distance
 from koopdqn.tasks.actions import COUNT, reached_poses
 from koopdqn.tasks.shelf import ShelfTask

@@ -4,7 +4,6 @@ import os
 import signal
 import threading
 from collections import deque
-from contextlib import ExitStack
 from time import monotonic
 from types import FrameType, TracebackType
 from typing import Any, Final
@@ -78,7 +77,6 @@ class Dashboard:
         self._from = monotonic(), trainer.env_steps, trainer.learner.updates
         self._recent: deque[tuple[float, int]] = deque([self._from[:2]])
         self._due = 0.0
-        self._open = ExitStack()
         self._live: Live | None = None
         self._handler: Any = None
         self._stop_asked = False
@@ -86,7 +84,8 @@ class Dashboard:
     def __enter__(self) -> "Dashboard":
         """Take the screen."""
         apart: dict[str, Any] = {"auto_refresh": False, "redirect_stdout": False, "redirect_stderr": False}
-        self._live = self._open.enter_context(Live(self.content(), console=self._console, screen=True, **apart))
+        self._live = Live(self.content(), console=self._console, screen=True, **apart)
+        self._live.start(refresh=True)
         # Only the main thread may set handlers.
         if hasattr(signal, "SIGTSTP") and threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGTSTP, self._ask_to_stop)
@@ -99,8 +98,9 @@ class Dashboard:
         if self._handler is not None:
             signal.signal(signal.SIGTSTP, self._handler)
             self._handler = None
-        self._live = None
-        self._open.close()
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
 
     def round(self) -> None:
         """Draw anew if it is time to."""

@@ -14,7 +14,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
 from koopdqn.app.hydra.application import CommandResult
-from koopdqn.app.recording.correcting import CorrectingScreen
+from koopdqn.app.recording.correcting import correct_by_keys
 from koopdqn.app.recording.showing import Showing
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.correction import CorrectionFile, Followed, along, in_frame, played
@@ -130,8 +130,7 @@ def _shown(learned: _Learned, source: Path, folder: Path) -> _Corrected:
     showing = Showing(learned.episode, learned.bend, learned.policy.frame, learned.workcell, folder / SHOWN)
     made = None
     try:
-        screen = CorrectingScreen(showing, learned.workcell.task.name, console.shown_path(folder), learned.corrected)
-        made = screen.run()
+        made = correct_by_keys(showing, learned.workcell.task.name, console.shown_path(folder), learned.corrected)
     finally:
         if made is None and showing.added:
             again = _again(source, console.shown_path(showing.file))

@@ -50,7 +50,7 @@ def demo(config: Configuration, folder: Path) -> CommandResult:
 
 
 def _recorded(config: Configuration, folder: Path) -> CommandResult:
-    from koopdqn.app.recording.screen import RecordingScreen
+    from koopdqn.app.recording.screen import record
     from koopdqn.app.recording.session import Recording
 
     graphics = config.demo.keyboard.graphics
@@ -59,7 +59,7 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     workcell = pipeline.open_scene(config)
     path = folder / DEMONSTRATIONS
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
-        RecordingScreen(recording, workcell, graphics, console.shown_path(path)).run()
+        record(recording, workcell, graphics, console.shown_path(path))
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
     goes_on = how_to_go_on("demo", folder)
     if demonstrations is None:

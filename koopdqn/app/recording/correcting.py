@@ -1,22 +1,22 @@
 """The screen on which a person shows a better way: its lines, and the loop that plays the path and takes keys."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from time import monotonic
-from typing import Final, Generic, Never, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from rich.style import Style
 from rich.text import Text
 
 from koopdqn import pose
-from koopdqn.app.recording.screen import START, pair, row, status_lines
+from koopdqn.app.recording.screen import START, pair, row
 from koopdqn.app.recording.showing import NOT_ADDED, REFUSED, Showing
 from koopdqn.console import counted
 from koopdqn.errors import KoopdqnError
 from koopdqn.oracles.base import PauseRequested
-from koopdqn.oracles.terminal.graphics import Window
-from koopdqn.oracles.terminal.screen import DIM, GAP, GOAL, beside, framed, help_body, key_lines, wrapped
+from koopdqn.oracles.terminal.window import DIM, GAP, GOAL, Window, beside, framed, status_lines, wrapped
 from koopdqn.pose import Array
 from koopdqn.view.characters import Picture, Track
 
@@ -84,19 +84,17 @@ class Shown:
 def compose(content: Shown, width: int, height: int) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     showing = content.showing
-    status = status_lines(content.status, width)
-    keys = [] if content.help else key_lines(KEYS, width, height)
-    across, down = width - _TEXT_WIDTH - GAP, height - 1 - len(keys) - len(status)
-    if across < _LEAST_PICTURE[0] or down < 2 * _LEAST_PICTURE[1]:
-        across = 0
-    if content.help:
-        body = help_body(HELP, width, down)
-    else:
-        left = _pictures(showing, across, down) if across else []
-        body = beside(left, _right(content, _TEXT_WIDTH if across else width), across)
+
+    def body(room: int) -> list[Text]:
+        across = width - _TEXT_WIDTH - GAP
+        if across < _LEAST_PICTURE[0] or room < 2 * _LEAST_PICTURE[1]:
+            return _right(content, width)
+        return beside(_pictures(showing, across, room), _right(content, _TEXT_WIDTH), across)
+
     moves = "playing" if showing.playing else "stopped"
     head = f" koopdqn  {content.task}   {showing.place:.3f} of {showing.length:.3f} m   {moves}"
-    return framed(head, body, keys, status, width, height)
+    helps = HELP if content.help else ()
+    return framed(head, body, KEYS, helps, status_lines(content.status, width), width, height)
 
 
 def _pictures(showing: Showing, across: int, down: int) -> list[Text]:
@@ -145,89 +143,67 @@ def _right(content: Shown, width: int) -> list[Text]:
     return [*lines, *wrapped(f"into   {content.folder}", width, DIM)]
 
 
-_WAIT_SECONDS: Final = 0.1
-"""How often the size of the screen is looked at."""
 _FRAME_SECONDS: Final = 0.05
 """How often a path that is played is drawn."""
 _MOST_FRAME_SECONDS: Final = 0.2
 """A path goes on from where it was, however long the process was stopped."""
 
 
-class CorrectingScreen(Generic[Corrected]):
-    """Plays a path on the terminal and takes the keys that show a better way, until the person corrects it or quits."""
+def correct_by_keys(showing: Showing, task: str, folder: str, correct: Callable[[Array], Corrected]) -> Corrected:
+    """Play a path on the terminal and take the keys that show a better way; return what the correction gave.
 
-    def __init__(self, showing: Showing, task: str, folder: str, correct: Callable[[Array], Corrected]) -> None:
-        """Prepare; ``correct`` corrects the path by waypoints (W, 3) [m], and ``folder`` is where it goes, for people.
+    What ``correct`` refuses is told on the screen, which stays. Whatever happens, the terminal is restored.
 
-        What ``correct`` refuses is told on the screen, which stays.
-        """
-        self._correct = correct
-        self._window: Window[Never] = Window("none", self._repaint)
-        self._shown = Shown(
-            showing, task, folder, "Space stops the path where you would go otherwise; ? lists the keys"
-        )
+    Args:
+        showing: what the person shows.
+        task: name of the task.
+        folder: where the correction goes, for people.
+        correct: corrects the path by waypoints (W, 3) [m].
 
-    def run(self) -> Corrected:
-        """Return what the correction gave; whatever happens, the terminal is restored.
+    Raises:
+        PauseRequested: the person quits.
+    """
 
-        Raises:
-            PauseRequested: the person quits.
-        """
-        window, showing = self._window, self._shown.showing
+    def lines(_: list[Text], width: int, height: int) -> list[Text]:
+        return compose(Shown(showing, task, folder, window.status, window.help), width, height)
+
+    window = Window("none", lines, "Space stops the path where you would go otherwise; ? lists the keys")
+    with closing(window):
+        window.open()
+        then = monotonic()
+        while True:
+            playing = showing.playing and not window.help
+            keys = window.keys(_FRAME_SECONDS) if playing else window.keys()
+            now = monotonic()
+            if playing:
+                showing.play(min(now - then, _MOST_FRAME_SECONDS))
+            then = now
+            for key in keys:
+                if window.helps(key):
+                    continue
+                if key == "q":
+                    raise PauseRequested("left without correcting")
+                if key != "e":
+                    window.status = showing.press(key).text
+                    continue
+                made = _corrected(window, showing, correct)
+                if made is not None:
+                    return made
+            if keys or playing:
+                window.paint()
+
+
+def _corrected(window: Window, showing: Showing, correct: Callable[[Array], Corrected]) -> Corrected | None:
+    """Return what the correction gave, or say why there is none."""
+    if showing.loose:
+        window.status = NOT_ADDED
+    elif not showing.added:
+        window.status = "No waypoint is added yet: stop the path, move w to the better way, and Enter adds it"
+    else:
+        window.status = "Correcting ..."
+        window.paint()
         try:
-            window.open()
-            self._repaint()
-            then = monotonic()
-            while True:
-                playing = showing.playing and not self._shown.help
-                keys = window.device.keys(_FRAME_SECONDS if playing else _WAIT_SECONDS)
-                now = monotonic()
-                if playing:
-                    showing.play(min(now - then, _MOST_FRAME_SECONDS))
-                then = now
-                for key in keys:
-                    made = self._take(key)
-                    if made is not None:
-                        return made
-                if keys or playing or window.resized():
-                    self._repaint()
-        finally:
-            window.close()
-
-    def _take(self, key: str) -> Corrected | None:
-        """Do what a key says; return what the correction gave, if it was made."""
-        showing = self._shown.showing
-        if self._shown.help or key == "?":
-            self._shown = replace(self._shown, help=not self._shown.help)
-        elif key == "q":
-            raise PauseRequested("left without correcting")
-        elif key == "e":
-            return self._finished()
-        else:
-            self._shown = replace(self._shown, status=showing.press(key).text)
-        return None
-
-    def _finished(self) -> Corrected | None:
-        showing = self._shown.showing
-        if showing.loose:
-            self._say(NOT_ADDED)
-            return None
-        if not showing.added:
-            self._say("No waypoint is added yet: stop the path, move w to the better way, and Enter adds it")
-            return None
-        self._say("Correcting ...")
-        self._repaint()
-        try:
-            return self._correct(showing.waypoints)
+            return correct(showing.waypoints)
         except KoopdqnError as error:
-            self._say(f"Not corrected: {error}; u takes waypoints back")
-            return None
-
-    def _say(self, status: str) -> None:
-        self._shown = replace(self._shown, status=status)
-
-    def _repaint(self) -> None:
-        def lines(_: list[Text], width: int, height: int) -> list[Text]:
-            return compose(self._shown, width, height)
-
-        self._window.paint(lines, None)
+            window.status = f"Not corrected: {error}; u takes waypoints back"
+    return None

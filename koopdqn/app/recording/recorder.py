@@ -195,27 +195,23 @@ class Recorder:
         taken_back = len(self._earlier[-1].kept) < len(self.state.kept)
         self.state = self._earlier.pop()
         text = "The demonstration kept last is under way again" if taken_back else "Undone"
-        return Reply(f"{text}; {counted(self.state.moves, 'move')} recorded", changed=True)
+        return Reply(f"{text}; {self._moves} recorded", changed=True)
 
     def _mark_start(self) -> Reply:
         if not self.state.moves:
             return Reply("The start is here already", changed=False)
         state = replace(self.state, path=self.state.path[-1:], joints=self.state.joints[-1:])
-        return self._become(
-            state, f"The start is here; {counted(self.state.moves, 'move')} dropped (u brings them back)"
-        )
+        return self._become(state, f"The start is here; {self._moves} dropped (u brings them back)")
 
     def _discard(self) -> Reply:
         state = self._begun(self.state.start, self.state.kept)
         if not self.state.moves and same(self.here, state.path[0]):
             return Reply("Nothing to discard", changed=False)
-        return self._become(
-            state, f"Discarded: {counted(self.state.moves, 'move')}; back at the start (u brings them back)"
-        )
+        return self._become(state, f"Discarded: {self._moves}; back at the start (u brings them back)")
 
     def _renew(self) -> Reply:
         state = self._begun(self.state.start + 1, self.state.kept)
-        return self._become(state, f"New start; {counted(self.state.moves, 'move')} dropped (u brings them back)")
+        return self._become(state, f"New start; {self._moves} dropped (u brings them back)")
 
     def _mark_end(self, *, sure: bool) -> Reply:
         task, state = self.task, self.state

@@ -1,7 +1,8 @@
 """The screen of a recording: its lines and its picture, and the loop that takes keys and shows what they do."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -14,32 +15,28 @@ from koopdqn.app.recording.recorder import Recorder
 from koopdqn.app.recording.session import Recording
 from koopdqn.console import counted
 from koopdqn.oracles.terminal.device import Graphics
-from koopdqn.oracles.terminal.graphics import Picture, Window
-from koopdqn.oracles.terminal.picture import BEFORE, WENT, Marks, WorkcellCamera
+from koopdqn.oracles.terminal.picture import BEFORE, WENT, Picture, WorkcellCamera
 from koopdqn.oracles.terminal.picture import GOAL as GOAL_COLOUR
-from koopdqn.oracles.terminal.screen import (
-    BOLD,
+from koopdqn.oracles.terminal.window import (
     DIM,
     GAP,
     GOAL,
+    Window,
     beside,
     framed,
-    help_body,
-    key_lines,
     picture_lines,
     region,
+    status_lines,
     wrapped,
 )
 from koopdqn.pose import Array
-from koopdqn.robot.render import Ghost, Image, Line
+from koopdqn.robot.render import Ghost, Line
 from koopdqn.robot.view import View, choose_view
 from koopdqn.tasks.task import breaks_rule
 from koopdqn.tasks.workcell import Workcell
 
 START: Final = Style(color="bright_white", bold=True)
 _TOOL: Final = Style(color="yellow", bold=True)
-_MOST_STATUS: Final = 3
-"""Lines at the bottom that tell what a key did."""
 
 _MOVING: Final = (
     ("w s  +x -x", "i k  about tool x"),
@@ -98,26 +95,15 @@ class Shown:
 def compose(content: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
-    status = status_lines(content.status, width)
-    keys = [] if content.help else key_lines(KEYS, width, height)
-    room = height - 1 - len(keys) - len(status)
-    if content.help:
-        body = help_body(HELP, width, room)
-    else:
-        left = picture_lines(content.picture, [_legend(place.width)], content.remark, place)[:room]
-        body = beside(left, _right(content, width - place.width - (GAP if place.width else 0)), place.width)
+
+    def body(_: int) -> list[Text]:
+        left = picture_lines(content.picture, [_legend(place.width)], content.remark, place)
+        return beside(left, _right(content, width - place.width - (GAP if place.width else 0)), place.width)
+
     kept = len(content.recorder.state.kept)
     head = f" koopdqn  {content.recorder.task.name}   demonstration {kept}   {kept} kept"
-    return framed(head, body, keys, status, width, height)
-
-
-def status_lines(status: str, width: int) -> list[Text]:
-    """Return what a key did, as a few lines at the bottom of a screen of that width."""
-    # One short of the width: a character in the corner makes some terminals scroll.
-    lines = wrapped(status, width - 1, BOLD)[:_MOST_STATUS] or [Text("")]
-    for line in lines:
-        line.truncate(width - 1, overflow="crop")
-    return lines
+    helps = HELP if content.help else ()
+    return framed(head, body, KEYS, helps, status_lines(content.status, width), width, height)
 
 
 def _legend(width: int) -> Text:
@@ -177,8 +163,8 @@ class RecordingCamera(WorkcellCamera):
 
     _seen_from: View | None = None
 
-    def picture(self, recorder: Recorder) -> tuple[Image, Marks]:
-        """Return the picture (height, width, 3) of where a recording is, and where things are in it.
+    def picture(self, recorder: Recorder) -> Picture:
+        """Return the picture of where a recording is.
 
         Marked are s the start, t the tool, g the goal, x, y and z the ends of the base's axes.
         """
@@ -205,63 +191,37 @@ class RecordingCamera(WorkcellCamera):
         return otherwise[None] if joints is None else joints
 
 
-_WAIT_SECONDS: Final = 0.1
-"""How often the size of the screen is looked at."""
+def record(recording: Recording, workcell: Workcell, graphics: Graphics, file: str) -> None:
+    """Show a recording on the terminal and take the keys that drive it, until the person finishes or pauses.
 
+    Whatever happens, the terminal is restored. ``file`` names the demonstrations for people.
+    """
+    recorder = recording.recorder
 
-class RecordingScreen:
-    """Shows a recording on the terminal and takes the keys, until the person finishes."""
+    def lines(picture: list[Text], width: int, height: int) -> list[Text]:
+        shown = Shown(recorder, file, window.status, picture, window.remark, window.help)
+        return compose(shown, width, height, pictures=window.pictures)
 
-    def __init__(self, recording: Recording, workcell: Workcell, graphics: Graphics, file: str) -> None:
-        """Prepare for a recording that keys drive; ``file`` names the demonstrations for people."""
-        self._recording = recording
-        self._workcell = workcell
-        self._window: Window[RecordingCamera] = Window(graphics, self._repaint)
-        self._shown = Shown(recording.recorder, file, "Drive the tool to the goal; ? lists the keys")
-        self._picture: Picture | None = None
-
-    def run(self) -> None:
-        """Take keys until the person finishes or pauses; whatever happens, the terminal is restored."""
-        window = self._window
-        try:
-            window.open()
-            # The text first: it can be read while the first picture is drawn.
-            self._repaint()
-            window.start(partial(RecordingCamera, self._workcell))
-            self._shown = replace(self._shown, remark=window.remark)
-            self._show(anew=True)
-            while True:
-                keys = window.device.keys(_WAIT_SECONDS)
-                changed = False
-                for key in keys:
-                    if key == "q" and not self._shown.help:
-                        return
-                    changed |= self._take(key)
-                resized = window.resized()
-                if keys or resized:
-                    self._show(anew=changed or resized)
-        finally:
-            window.close()
-
-    def _take(self, key: str) -> bool:
-        """Do what a key says; return whether the picture is another now."""
-        if self._shown.help or key == "?":
-            self._shown = replace(self._shown, help=not self._shown.help)
-            return False
-        reply = self._recording.press(key)
-        self._shown = replace(self._shown, status=reply.text)
-        return reply.changed
-
-    def _show(self, *, anew: bool) -> None:
-        place, camera = self._window.place(), self._window.camera
-        if camera is not None and place.width and (anew or self._picture is None or self._picture.place != place):
-            self._picture = Picture(*camera.picture(self._recording.recorder), place)
-        self._repaint()
-
-    def _repaint(self) -> None:
-        window = self._window
-
-        def lines(picture_lines: list[Text], width: int, height: int) -> list[Text]:
-            return compose(replace(self._shown, picture=picture_lines), width, height, pictures=window.pictures)
-
-        window.paint(lines, None if self._shown.help else self._picture)
+    window = Window(graphics, lines, "Drive the tool to the goal; ? lists the keys")
+    with closing(window):
+        # The text first: it can be read while the first picture is drawn.
+        window.open()
+        camera = window.start(partial(RecordingCamera, workcell))
+        keys: list[str] = []
+        changed = True
+        while True:
+            # What nobody sees is drawn when there is room for it.
+            if changed and camera is not None and window.pictures:
+                window.picture, changed = camera.picture(recorder), False
+                window.paint()
+            elif keys:
+                window.paint()
+            keys = window.keys()
+            for key in keys:
+                if window.helps(key):
+                    continue
+                if key == "q":
+                    return
+                reply = recording.press(key)
+                window.status = reply.text
+                changed |= reply.changed

@@ -96,11 +96,11 @@ class Device:
         if not self._handlers and threading.current_thread() is threading.main_thread():
             self._handlers = {
                 signal.SIGTSTP: signal.signal(signal.SIGTSTP, self._suspend),
-                signal.SIGQUIT: signal.signal(signal.SIGQUIT, self._die),
+                signal.SIGQUIT: signal.signal(signal.SIGQUIT, self._yield),
             }
             # Unless whoever runs this ends it in an orderly way already.
             if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
-                self._handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._die)
+                self._handlers[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._yield)
         tty.setcbreak(self._in)
         self.write(_ENTER)
 
@@ -170,15 +170,13 @@ class Device:
 
     def _suspend(self, number: int, frame: FrameType | None) -> None:
         """Stop as Ctrl-Z asks, with the shell's own screen, and come back to this one."""
-        self._restore()
-        signal.signal(signal.SIGTSTP, signal.SIG_DFL)
-        os.kill(os.getpid(), signal.SIGTSTP)
-        signal.signal(signal.SIGTSTP, self._suspend)
+        self._yield(number, frame)
+        signal.signal(number, self._suspend)
         self.enter()
         self._on_return()
 
-    def _die(self, number: int, frame: FrameType | None) -> None:
-        """End as the signal does by itself, with the terminal restored; every answer is on disk already."""
+    def _yield(self, number: int, frame: FrameType | None) -> None:
+        """Do what the signal does by itself, with the terminal restored; every answer is on disk already."""
         self._restore()
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)

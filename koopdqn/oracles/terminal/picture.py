@@ -1,10 +1,18 @@
-"""The picture of a question: the arm where it went, and where the model would have gone."""
+"""Pictures on a terminal: of a workcell and of a question; in characters, in kitty's protocol or in sixels."""
 
+import base64
+import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from PIL import Image as Pictures
+from PIL import ImageDraw, ImageFont
+from rich.color import Color
+from rich.style import Style
+from rich.text import Text
 
 from koopdqn import pose
 from koopdqn.oracles.base import Question
@@ -26,6 +34,15 @@ _TIP_M: Final = 0.014
 
 Marks = Mapping[str, tuple[float, float]]
 """Characters and the shares (0…1) of a picture's width and height where they are."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture (height, width, 3), where things are in it, and how many times as far as they are motions are drawn."""
+
+    image: Image
+    marks: Marks
+    times: float = 1.0
 
 
 class WorkcellCamera:
@@ -55,8 +72,8 @@ class WorkcellCamera:
         lines: Sequence[Line],
         points: Mapping[str, tuple[Array, Rgba]],
         ghosts: Sequence[Ghost],
-    ) -> tuple[Image, Marks]:
-        """Return the picture (height, width, 3) of the arm at joints (6,) [rad], and where things are in it.
+    ) -> Picture:
+        """Return the picture of the arm at joints (6,) [rad].
 
         The base's axes are drawn from ``here`` (3,) [m], their ends marked x, y and z, and dots at points (3,) [m],
         under their marks and in their colours; where several are at one place, the last is seen.
@@ -68,7 +85,7 @@ class WorkcellCamera:
         places = np.array([*ends, *(point for point, _ in points.values())])
         size, angle = self.camera.size, self.camera.scene.model.vis.global_.fovy
         shares = (view.pixels(places, size, angle) / np.array(size)).tolist()
-        return image, {mark: (x, y) for mark, (x, y) in zip(["x", "y", "z", *points], shares, strict=True)}
+        return Picture(image, {mark: (x, y) for mark, (x, y) in zip(["x", "y", "z", *points], shares, strict=True)})
 
 
 _SHOWN_M: Final = 0.08
@@ -81,22 +98,13 @@ _SAME_DIRECTION_M: Final = 0.1
 """How far the flange may go before it is looked at from another direction."""
 
 
-@dataclass(frozen=True)
-class Situation:
-    """A picture (height, width, 3), where things are in it, and how many times as far as they are motions are drawn."""
-
-    image: Image
-    marks: Marks
-    times: float
-
-
 class SituationCamera(WorkcellCamera):
     """Draws questions of one workcell."""
 
     _direction: View | None = None
     _seen_from: Array = np.zeros(3)
 
-    def picture(self, question: Question, share: float = 1.0) -> Situation:
+    def picture(self, question: Question, share: float = 1.0) -> Picture:
         """Return the picture of a question, the arm having gone ``share`` (0…1) of its motion."""
         times = magnification(question)
         reached, meant = (magnified(question.pose, end, times) for end in (question.reached, question.predicted))
@@ -106,7 +114,7 @@ class SituationCamera(WorkcellCamera):
         posture = self._entered(question.pose)
         joints = self._joints(here, question.pose, posture)
         ends = ((reached[pose.POSITION], WENT), (meant[pose.POSITION], MEANT))
-        image, marks = self.drawn(
+        drawn = self.drawn(
             joints,
             self._view(question, joints, np.array([before, goal])),
             before,
@@ -114,7 +122,7 @@ class SituationCamera(WorkcellCamera):
             {"g": (goal, GOAL), "m": ends[1], "b": (before, BEFORE), "r": ends[0]},
             [Ghost(self._joints(meant, question.predicted, posture), _GHOST)],
         )
-        return Situation(image, marks, times)
+        return replace(drawn, times=times)
 
     def _joints(self, wished: Array, otherwise: Array, near: Array) -> Array:
         """Return joints (6,) [rad], near others, of a pose drawn too far, or of the true one if it is out of reach."""
@@ -156,3 +164,134 @@ def magnified(before: Array, after: Array, times: float) -> Array:
     position = before[pose.POSITION] + times * (after - before)[pose.POSITION]
     turn = pose.to_rotation_vector(pose.multiply(after[pose.QUATERNION], pose.conjugate(before[pose.QUATERNION])))
     return pose.make(position, pose.multiply(pose.from_rotation_vector(times * turn), before[pose.QUATERNION]))
+
+
+_UPPER_HALF: Final = "▀"
+_SHADES: Final = " .:-=+*#%@"
+_LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
+# Fewer colours, so that a picture holds fewer different characters; the eye does not see it at this size.
+_COLOUR_STEP: Final = 8
+_LETTERS: Final = 20
+"""Letters one above the other in the height of a picture."""
+_LETTER_COLOURS: Final = {"r": (255, 220, 60), "m": (90, 230, 255), "g": (80, 240, 130)}
+_WHITE: Final = (255, 255, 255)
+_MARK_COLOURS: Final = {"r": "bright_yellow", "m": "bright_cyan", "g": "bright_green"}
+
+
+def resized(image: Image, width: int, height: int) -> Image:
+    """Return a picture (height, width, 3) whose every pixel is the mean of those it stands for."""
+    return np.asarray(Pictures.fromarray(image).resize((width, height), Pictures.Resampling.BOX))
+
+
+def lettered(image: Image, marks: Mapping[str, tuple[float, float]], caption: str = "") -> Image:
+    """Return a picture (height, width, 3) with marks on it, each at its share (0…1) of width and height.
+
+    A caption stands in its lower left corner.
+    """
+    height, width, _ = image.shape
+    drawn = Pictures.fromarray(image)
+    pen = ImageDraw.Draw(drawn)
+    size = height / _LETTERS
+    font = ImageFont.load_default(size)
+    edge = {"font": font, "stroke_width": max(1, round(size / 10)), "stroke_fill": (0, 0, 0)}
+    for mark, (x, y) in marks.items():
+        if 0 <= x < 1 and 0 <= y < 1:
+            # Beside the dot, which it would hide.
+            pen.text((x * width + 0.5 * size, y * height), mark, _LETTER_COLOURS.get(mark, _WHITE), anchor="lm", **edge)
+    small = {**edge, "font": ImageFont.load_default(0.6 * size)}
+    pen.text((0.5 * size, height - 0.5 * size), caption, _WHITE, anchor="lb", **small)
+    return np.asarray(drawn)
+
+
+def block_lines(
+    image: Image, width: int, rows: int, marks: Mapping[str, tuple[float, float]], *, colour: bool
+) -> list[Text]:
+    """Return a picture (height, width, 3) as ``rows`` lines of ``width`` characters.
+
+    Half blocks in colour, or else shades of brightness; over them marks, each at its share (0…1) of width and height.
+    """
+    small = resized(image, width, 2 * rows)
+    lines = _in_colour(small) if colour else _in_shades(small)
+    places = {(int(y * rows), int(x * width)): mark for mark, (x, y) in marks.items() if 0 <= x < 1 and 0 <= y < 1}
+    for (row, column), mark in places.items():
+        line = lines[row]
+        style = Style(bold=True, color=_MARK_COLOURS.get(mark, "bright_white"), bgcolor="black")
+        lines[row] = Text.assemble(line[:column], (mark, style), line[column + 1 :])
+    return lines
+
+
+def _in_colour(small: Image) -> list[Text]:
+    coarse = (small // _COLOUR_STEP * _COLOUR_STEP).tolist()
+    return [
+        Text.assemble(*((_UPPER_HALF, _style(*top, *bottom)) for top, bottom in zip(upper, lower, strict=True)))
+        for upper, lower in zip(coarse[::2], coarse[1::2], strict=True)
+    ]
+
+
+@lru_cache(maxsize=65536)
+def _style(red: int, green: int, blue: int, red_below: int, green_below: int, blue_below: int) -> Style:
+    return Style(color=Color.from_rgb(red, green, blue), bgcolor=Color.from_rgb(red_below, green_below, blue_below))
+
+
+def _in_shades(small: Image) -> list[Text]:
+    light = (small @ np.array(_LUMINANCE) / 255).reshape(-1, 2, small.shape[1]).mean(axis=1)
+    # The whole range of shades for the range of light there is.
+    low, high = light.min(), light.max()
+    levels = np.zeros_like(light) if high == low else (light - low) / (high - low)
+    shades = np.minimum((levels * len(_SHADES)).astype(int), len(_SHADES) - 1)
+    return [Text("".join(_SHADES[level] for level in row)) for row in shades.tolist()]
+
+
+_KITTY_CHUNK: Final = 4096
+_SIXEL_COLOURS: Final = 128
+_BAND: Final = 6
+"""Rows of pixels in one line of sixels."""
+
+
+def png(image: Image) -> bytes:
+    """Return a picture (height, width, 3) as a PNG file's bytes."""
+    buffer = io.BytesIO()
+    Pictures.fromarray(image).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def kitty(image: Image, width: int, rows: int) -> str:
+    """Return the sequence that draws a picture at the cursor in kitty's protocol, ``width`` by ``rows`` characters."""
+    data = base64.standard_b64encode(png(image)).decode()
+    chunks = [data[start : start + _KITTY_CHUNK] for start in range(0, len(data), _KITTY_CHUNK)]
+    parts = []
+    for number, chunk in enumerate(chunks):
+        more = int(number + 1 < len(chunks))
+        control = f"a=T,f=100,c={width},r={rows},C=1,q=2,m={more}" if number == 0 else f"q=2,m={more}"
+        parts.append(f"\x1b_G{control};{chunk}\x1b\\")
+    return "".join(parts)
+
+
+def sixel(image: Image) -> str:
+    """Return the sequence that draws a picture at the cursor in DEC's sixels (VT340 manual), a pixel a pixel."""
+    height, width, _ = image.shape
+    coded = Pictures.fromarray(image).quantize(_SIXEL_COLOURS)
+    flat = np.array(coded.getpalette() or [], dtype=int).reshape(-1, 3)
+    index = np.asarray(coded)
+    used = np.unique(index)
+    parts = [f'\x1bP0;1q"1;1;{width};{height}']
+    parts += ["#{};2;{};{};{}".format(colour, *np.rint(flat[colour] / 2.55).astype(int)) for colour in used]
+    for top in range(0, height, _BAND):
+        band = index[top : top + _BAND]
+        weights = (1 << np.arange(len(band)))[:, None]
+        lines = []
+        for colour in np.unique(band):
+            bits = ((band == colour) * weights).sum(axis=0)
+            lines.append(f"#{colour}{_run_lengths(bits)}")
+        parts.append("$".join(lines) + "-")
+    return "".join(parts) + "\x1b\\"
+
+
+def _run_lengths(bits: np.ndarray) -> str:
+    starts = np.flatnonzero(np.diff(bits, prepend=-1))
+    lengths = np.diff(np.append(starts, len(bits)))
+    text = ""
+    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
+        character = chr(63 + int(bits[start]))
+        text += character * length if length < 4 else f"!{length}{character}"
+    return text

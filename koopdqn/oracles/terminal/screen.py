@@ -1,18 +1,29 @@
 """The question screen: its words, and what stands where as lines of text for a size; it draws and asks nothing."""
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Final
 
 import numpy as np
-from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
 from koopdqn import console, pose
 from koopdqn.oracles.base import Answer, Earlier, Question
+from koopdqn.oracles.terminal.window import (
+    BOLD,
+    DIM,
+    GAP,
+    GOAL,
+    TEXT_WIDTH,
+    Region,
+    beside,
+    framed,
+    picture_lines,
+    region,
+    status_line,
+    wrapped,
+)
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import COUNT, NAMES, legal_actions
 from koopdqn.tasks.task import Task
@@ -37,23 +48,10 @@ The first ten and the model's stand in two columns of the text's width."""
 CHOICE_KEYS: Final = "0123456789m"
 """The key that names each action as better; the last is there with continuous actions only."""
 _NOTHING_M: Final = 1e-6
-
-ASPECT: Final = (4, 3)
-"""Width to height of the picture."""
-GAP: Final = 2
-_TEXT_WIDTH: Final = 38
-_LEAST_PICTURE: Final = (26, 6)
 _LEGEND_WIDTH: Final = 32
-_FRAME_ROWS: Final = 5
-"""Rows beside a picture's: the line at the top, the legend, two lines of keys and the line at the bottom."""
 
-DIM: Final = Style(dim=True)
-BOLD: Final = Style(bold=True)
-_HEAD: Final = Style(reverse=True, bold=True)
 _WENT: Final = Style(color="yellow", bold=True)
 _MEANT: Final = Style(color="bright_cyan", bold=True)
-GOAL: Final = Style(color="green", bold=True)
-
 _OTHER_KEYS: Final = "p big picture   r replay motion   ? help   q pause"
 # Where the help tells how to name a better action.
 _BETTER: Final = 4
@@ -77,23 +75,6 @@ _HELP: Final = (
     "",
     "Any key goes back to the question.",
 )
-
-
-@dataclass(frozen=True)
-class Region:
-    """Where the picture goes.
-
-    Attributes:
-        left: column of its left edge, from 0.
-        top: row of its upper edge, from 0.
-        width: in characters; 0 where there is no room.
-        rows: in characters.
-    """
-
-    left: int
-    top: int
-    width: int
-    rows: int
 
 
 @dataclass(frozen=True)
@@ -121,88 +102,29 @@ class Shown:
     help: bool = False
 
 
-def region(width: int, height: int, *, pictures: bool) -> Region:
-    """Return where the picture goes on a screen, beside the text; its sides are as 4 to 3 in pixels."""
-    room, rows = width - _TEXT_WIDTH - GAP, height - _FRAME_ROWS
-    # A character is about twice as high as wide.
-    across = min(room, rows * 2 * ASPECT[0] // ASPECT[1])
-    down = across * ASPECT[1] // (2 * ASPECT[0])
-    if not pictures or across < _LEAST_PICTURE[0] or down < _LEAST_PICTURE[1]:
-        return Region(0, 1, 0, 0)
-    return Region(0, 1, across, down)
-
-
 def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
     question, named = shown.question, "0-9 m" if suggests(shown.question) else "0-9"
-    keys = key_lines((f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS), width, height)
-    if shown.help:
-        keys = []
-    room = height - 2 - len(keys)
+
+    def body(room: int) -> list[Text]:
+        if question is None:
+            return [Text(""), Text("  The arm is learning; it asks when it does not know.")]
+        legend_line = [legend(shown.times, place.width)] if shown.times else []
+        left = picture_lines(shown.picture, legend_line, shown.remark, place)
+        return beside(left, _right(shown, question, width, place, room), place.width)
+
     head = f" koopdqn  {shown.task.name}"
     if question is not None:
         left = "" if question.left is None else f", {question.left} left"
         head += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
-    if shown.help:
-        body = help_body(help_lines(question), width, room)
-    elif question is None:
-        body = [Text(""), Text("  The arm is learning; it asks when it does not know.")]
-    else:
-        legend_line = [legend(shown.times, place.width)] if shown.times else []
-        left_lines = picture_lines(shown.picture, legend_line, shown.remark, place)[:room]
-        body = beside(left_lines, _right(shown, question, width, place, room), place.width)
-    head = f"{head}   {console.visible(shown.teacher)}"
-    return framed(head, body, keys, [status_line(shown.status, width)], width, height)
+    head += f"   {console.visible(shown.teacher)}"
+    keys = (f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS)
+    helps = help_lines(question) if shown.help else ()
+    return framed(head, body, keys, helps, [status_line(shown.status, width)], width, height)
 
 
-def framed(head: str, body: list[Text], keys: Sequence[str], status: list[Text], width: int, height: int) -> list[Text]:
-    """Return a screen's lines: a bar with the head, the body as far as there is room, the keys, and the status."""
-    room = height - 1 - len(keys) - len(status)
-    body = (body + [Text("")] * room)[:room]
-    lines = [Text(head[:width].ljust(width), style=_HEAD), *body, *(Text(line, style=DIM) for line in keys)]
-    for line in lines:
-        line.truncate(width, overflow="crop")
-    return [*lines, *status]
-
-
-def key_lines(keys: Sequence[str], width: int, height: int) -> list[str]:
-    """Return lines that tell of keys, broken between two of them where they are too long; half a screen at most."""
-    if all(len(line) <= width for line in keys):
-        return list(keys)
-    lines: list[str] = []
-    for key in (each for line in keys for each in re.split(" {2,}", line)):
-        if lines and len(lines[-1]) + 2 + len(key) <= width:
-            lines[-1] += f"  {key}"
-        else:
-            lines.append(key)
-    return lines[: height // 2]
-
-
-def help_body(lines: Sequence[str], width: int, room: int) -> list[Text]:
-    """Return the help as lines of at most ``width`` characters, without empty ones where there is no room for them."""
-    body = [part for line in lines for part in (wrapped(line, width) if line else [Text("")])]
-    return body if len(body) <= room else [line for line in body if line]
-
-
-def picture_lines(picture: Sequence[Text], legend: Sequence[Text], remark: str, place: Region) -> list[Text]:
-    """Return what stands where a picture goes: its lines or room for it, and the legend; or the remark instead."""
-    if not place.width:
-        return []
-    if remark:
-        return [Text(""), *wrapped(remark, place.width, DIM)]
-    return [*(picture or [Text("")] * place.rows), *legend]
-
-
-def status_line(status: str, width: int) -> Text:
-    """Return the line at the bottom."""
-    # One short of the width: a character in the corner makes some terminals scroll.
-    line = Text(status, style=BOLD)
-    line.truncate(width - 1, overflow="ellipsis")
-    return line
-
-
-def legend(times: float, width: int = 2 * _TEXT_WIDTH) -> Text:
+def legend(times: float, width: int = 2 * TEXT_WIDTH) -> Text:
     """Return what the letters of a picture mean, and how many times as far as they are motions are drawn."""
     words = (" before ", " reached ") if width >= _LEGEND_WIDTH else (" from ", " to ")
     text = Text.assemble(("b", BOLD), words[0], ("r", _WENT), words[1], ("m", _MEANT), " model ", ("g", GOAL), " goal")
@@ -213,9 +135,9 @@ def legend(times: float, width: int = 2 * _TEXT_WIDTH) -> Text:
 
 
 def _right(shown: Shown, question: Question, width: int, place: Region, body: int) -> list[Text]:
-    room = min(width - place.width - GAP, 2 * _TEXT_WIDTH) if place.width else width
+    room = min(width - place.width - GAP, 2 * TEXT_WIDTH) if place.width else width
     asked_at_end = "Question {number} of about {expected} in the episode"
-    drawn = f" (drawn {shown.times:.0f}x)" if shown.times else ""
+    drawn = f" (drawn {shown.times:.0f}x)" if shown.times and place.width else ""
     lines = [
         *(wrapped(asked_at_end.format(**vars(question.place)), room) if question.place else []),
         *wrapped(f"Was this right? The arm {NAMES[question.action]}.", room, BOLD),
@@ -251,25 +173,6 @@ def _choice(action: int, text: str, asked: int) -> Text:
 
 def _pair(name: str, value: str) -> Text:
     return Text.assemble((f"{name:<6}", DIM), value)
-
-
-def wrapped(text: str, width: int, style: Style | None = None) -> list[Text]:
-    """Return a text as lines of at most ``width`` characters."""
-    return list(Text(text, style=style or Style()).wrap(Console(width=max(width, 1)), max(width, 1)))
-
-
-def beside(left: list[Text], right: list[Text], width: int) -> list[Text]:
-    """Return lines beside others, which begin behind ``width`` characters and a gap; 0 leaves the left ones out."""
-    if not width:
-        return right
-    count = max(len(left), len(right))
-    lines = []
-    for row in range(count):
-        first = left[row].copy() if row < len(left) else Text("")
-        first.truncate(width, overflow="crop")
-        first.pad_right(width - first.cell_len + GAP)
-        lines.append(first + right[row] if row < len(right) else first)
-    return lines
 
 
 def moved(question: Question) -> str:
