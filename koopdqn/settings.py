@@ -88,11 +88,7 @@ def _model_at(model: type[BaseModel], location: Sequence[int | str]) -> type[Bas
 def _model_in(annotation: object) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    for argument in typing.get_args(annotation):
-        found = _model_in(argument)
-        if found:
-            return found
-    return None
+    return next(filter(None, map(_model_in, typing.get_args(annotation))), None)
 
 
 def _dotted(where: str, location: Sequence[int | str]) -> str:
@@ -339,15 +335,14 @@ def _locate(target: object, where: str) -> type[Any]:
         raise BadInputError(text) from error
     found = getattr(module, class_name, None)
     if not isinstance(found, type):
-        own = {n: v for n, v in vars(module).items() if isinstance(v, type) and v.__module__ == module.__name__}
-        classes = sorted(name for name in own if not name.startswith("_"))
+        every = inspect.getmembers(module, lambda each: isinstance(each, type) and each.__module__ == module.__name__)
+        classes = [name for name, _ in every if not name.startswith("_")]
         raise BadInputError(f"{key}: {module_name} has no class {class_name!r}; valid: {', '.join(classes) or 'none'}")
     return found
 
 
 def _first_line(error: BaseException) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0] if lines else type(error).__name__
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def _full_name(cls: type) -> str:

@@ -23,6 +23,7 @@ from koopdqn.intent.validation import (
     held_out_contained,
     jackknife_signs,
     left_out_share,
+    length_ratio,
     sizes_of,
 )
 from koopdqn.paths import arc_lengths, hausdorff, to_count, to_step
@@ -319,29 +320,6 @@ def _per_step(sizes: list[Array]) -> dict[str, list[float]] | None:
         "mean": [float(np.mean(values)) for values in at_step],
         "max": [float(np.max(values)) for values in at_step],
     }
-
-
-def length_ratio(model: IntentModel, trajectories: list[Array], task: Task) -> float:
-    """Return how long the model's own way to the goal is, in shares of the demonstration from the same start: a median.
-
-    Demonstrated poses (N, 7) are in the model's start frame. Both ways end where they come within the goal's tolerance,
-    a demonstration where it does so to stay. Where demonstrations come back over the same place only the last passage
-    is learned, and the way is shorter.
-    """
-    starts = np.array([trajectory[0] for trajectory in trajectories])
-    limit = 2 * max(len(trajectory) for trajectory in trajectories)
-    paths = model.roll_out(starts, limit, task.step_m)
-    there = pose.position_distance(paths, task.goal) <= task.goal_tolerance_m
-    steps = np.where(there.any(axis=0), there.argmax(axis=0), limit)
-    ways = [task.step_m * count for count in steps]
-    return float(np.median(np.array(ways) / [_way_to_goal(trajectory, task) for trajectory in trajectories]))
-
-
-def _way_to_goal(trajectory: Array, task: Task) -> float:
-    """Return the length [m] of a demonstration (N, 7) until it is within the goal's tolerance to stay."""
-    away = pose.position_distance(trajectory, task.goal) > task.goal_tolerance_m
-    arrival = min(len(away) - int(away[::-1].argmax()), len(away) - 1)
-    return float(arc_lengths(trajectory[: arrival + 1, pose.POSITION])[-1])
 
 
 def unmatched_share(trajectories: list[Array], task: Task) -> float:

@@ -97,7 +97,7 @@ def _check_asked(recording: Recording, declared: ImportSettings, asked: list[str
 
 
 def _position(recording: Recording, declared: ImportSettings, reasons: list[str]) -> Array:
-    values = _origin(recording)
+    values = recording.origin
     units = declared.units or recording.units
     largest = float(np.abs(values).max(initial=0.0))
     if units is None:
@@ -114,31 +114,8 @@ def _position(recording: Recording, declared: ImportSettings, reasons: list[str]
     return metres
 
 
-def _origin(recording: Recording) -> Array:
-    if recording.rotation != "transform":
-        assert recording.position is not None
-        return recording.position
-    flat = recording.turn
-    assert flat is not None
-    # Which of the two layouts it is shows in where 0 0 0 1 stands.
-    return flat[:, [12, 13, 14]] if _by_columns(recording, flat) else flat[:, [3, 7, 11]]
-
-
-def _by_columns(recording: Recording, flat: Array) -> bool:
-    last = np.array([0.0, 0.0, 0.0, 1.0])
-    rows, columns = (
-        bool(np.allclose(flat[:, places], last, atol=1e-6)) for places in ([12, 13, 14, 15], [3, 7, 11, 15])
-    )
-    if rows == columns:
-        raise BadInputError(
-            f"demos {recording.where}: sixteen numbers must be a 4×4 matrix with the row 0 0 0 1, by rows or by"
-            f" columns, found {'both' if rows else 'neither'}"
-        )
-    return columns
-
-
 def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[str]) -> Array:
-    count = len(_origin(recording))
+    count = len(recording.origin)
     if recording.turn is None:
         if declared.orientation is None:
             rule = "a quaternion [w,x,y,z] for all poses, as only positions are recognised"
@@ -153,7 +130,7 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
     if declared.rotation is not None and recording.rotation not in (None, "vector", "angles", "kuka"):
         reasons.append(f"orientation as {recording.rotation}, as names say, and import.rotation without effect")
     if recording.rotation == "transform":
-        by_columns = _by_columns(recording, turn)
+        by_columns = recording.by_columns
         reasons.append(f"4×4 matrices by {'columns' if by_columns else 'rows'}, as 0 0 0 1 stands there")
         whole = turn.reshape(-1, 4, 4)
         return _from_matrix(recording, (whole.transpose(0, 2, 1) if by_columns else whole)[:, :3, :3])

@@ -135,6 +135,34 @@ class Recording:
         """Return what to call a row."""
         return f"row {index}" if self.rows is None else f"line {self.rows[index]}"
 
+    @property
+    def origin(self) -> Array:
+        """Positions (N, 3) in ``units``, also of 4×4 matrices."""
+        if self.rotation != "transform":
+            assert self.position is not None
+            return self.position
+        assert self.turn is not None
+        return self.turn[:, [12, 13, 14]] if self.by_columns else self.turn[:, [3, 7, 11]]
+
+    @property
+    def by_columns(self) -> bool:
+        """Whether 4×4 matrices stand by columns, as where 0 0 0 1 stands shows.
+
+        Raises:
+            BadInputError: it stands in both places, or in neither.
+        """
+        assert self.turn is not None
+        last = np.array([0.0, 0.0, 0.0, 1.0])
+        rows, columns = (
+            bool(np.allclose(self.turn[:, places], last, atol=1e-6)) for places in ([12, 13, 14, 15], [3, 7, 11, 15])
+        )
+        if rows == columns:
+            raise BadInputError(
+                f"demos {self.where}: sixteen numbers must be a 4×4 matrix with the row 0 0 0 1, by rows or by"
+                f" columns, found {'both' if rows else 'neither'}"
+            )
+        return columns
+
 
 class Columns(Protocol):
     """A table whose columns have names; only those asked for are made numbers."""
