@@ -43,14 +43,22 @@ _READ_HERE = ("test_recording_arrays", "test_recording_cutting", "test_recording
 # Pictures are by the way in these, and take half of a small training's time; test_plots.py and others look at them.
 _UNDRAWN = (
     "test_bad_input",
+    "test_cli",
     "test_compare",
+    "test_derivation_placement",
+    "test_explain",
+    "test_inspection",
     "test_interruption",
+    "test_mjcf_arm",
     "test_own_data",
     "test_pipeline",
+    "test_questions",
     "test_report",
     "test_schemas",
+    "test_streaming",
     "test_threads",
     "test_untrusted_run",
+    "test_view_command",
 )
 
 NO_OPENGL = "OpenGL's libraries are missing here, see `koopdqn doctor`"
