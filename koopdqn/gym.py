@@ -5,7 +5,7 @@ continuous actions, as ``"koopdqn/ShelfContinuous-v0"``, and ``gymnasium.make_ve
 at once. All take the keywords of :func:`environment_parts`, and ``render_mode``.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -90,7 +90,7 @@ def environment_parts(
     from koopdqn.app import api
 
     more = [overrides] if isinstance(overrides, str) else overrides
-    if not isinstance(more, Iterable):
+    if not isinstance(more, Iterable) or isinstance(more, Mapping):
         raise BadInputError(f"overrides: must be a text such as 'seed=3', or several, found {shown(overrides)}")
     config = api.load_config(
         f"task={task}", f"actions={actions}", *_demos(demonstrations), *more, config_dir=config_dir
@@ -123,6 +123,6 @@ def _demos(files: str | Path | Iterable[str | Path] | None) -> list[str]:
     from koopdqn.app.hydra.overrides import literal
 
     named = [files] if isinstance(files, str | Path) else files
-    if not isinstance(named, Iterable):
+    if not isinstance(named, Iterable) or isinstance(named, Mapping):
         raise BadInputError(f"demonstrations: must be a file or several, found {named!r}")
     return [f"demos=[{','.join(literal(str(each)) for each in named)}]"]

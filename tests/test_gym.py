@@ -291,6 +291,7 @@ def test_keywords_that_cannot_be_are_refused(env_parts: EnvironmentParts, keywor
     ("keywords", "words"),
     [
         ({"overrides": None}, "overrides: must be a text such as 'seed=3', or several, found None"),
+        ({"overrides": {"seed": 3}}, "overrides: must be a text such as 'seed=3', or several, found {'seed': 3}"),
         ({"overrides": 3}, "overrides: must be a text such as 'seed=3', or several, found 3"),
         ({"overrides": SMALL, "exploring_starts": "no"}, "exploring_starts: must be a bool, found 'no'"),
     ],

@@ -3,7 +3,6 @@
 import shlex
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 from parts import load_parts
@@ -110,12 +109,26 @@ def test_what_a_run_goes_on_with_is_recorded_and_what_it_refuses_is_not(begun: P
     assert (folder / ".hydra" / "overrides.yaml").read_text(encoding="utf-8") == record
 
 
-def test_what_a_run_goes_on_with_is_recorded_before_it_learns(begun: Path, tmp_path: Path, monkeypatch: Any) -> None:
+@pytest.mark.parametrize("given", ["train.max_steps=7778", "seed=5"])
+def test_what_a_run_goes_on_with_is_recorded_once_its_answers_fit(begun: Path, tmp_path: Path, given: str) -> None:
     folder = tmp_path / "run"
     shutil.copytree(begun, folder, ignore=shutil.ignore_patterns("checkpoints"))
-    monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-    assert cli.main(["train", f"run={folder}", "train.max_steps=7778"]) == 130
-    assert "train.max_steps=7778" in (folder / RECORD).read_text(encoding="utf-8")
+    before = (folder / RECORD).read_text(encoding="utf-8")
+    fits = given != "seed=5"
+    assert cli.main(["train", f"run={folder}", given, "hydra.verbose=false"]) in ((0, 1) if fits else (2,))
+    assert (folder / RECORD).read_text(encoding="utf-8") == before + (f"- {given}\n" if fits else "")
+
+
+def test_a_pause_before_the_first_check_is_gone_on_from_with_the_same_oracle(begun: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(begun, folder, ignore=shutil.ignore_patterns("checkpoints", "feedback.jsonl"))
+    questions, answers = tmp_path / "questions", tmp_path / "answers"
+    questions.touch()
+    answers.write_text('{"number": 0, "pause": true}\n', encoding="utf-8")
+    given = ["oracle=file", f"oracle.questions={questions}", f"oracle.answers={answers}"]
+    assert cli.main(["train", f"run={folder}", *given]) == 130
+    record = (folder / RECORD).read_text(encoding="utf-8").splitlines()
+    assert record[-3:] == [f"- {each}" for each in given]
 
 
 def test_a_run_goes_on_with_no_other_intent_than_its_own(begun: Path, capsys: pytest.CaptureFixture[str]) -> None:

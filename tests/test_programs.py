@@ -4,7 +4,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
-from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from scipy.spatial.distance import cdist
 
 from koopdqn import pose
 from koopdqn.app.api import load_config
-from koopdqn.app.commands import program as command
 from koopdqn.app.commands.program import export_program
 from koopdqn.demonstrations.dataset import Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
@@ -247,15 +245,20 @@ def test_a_start_beyond_a_joints_range_is_bad_input() -> None:
         made(shelf(), start=(0.5, 0.0, 0.4, 2.0, 0.0, 0.0, 0.0))
 
 
-def test_the_program_is_made_where_demonstrations_were_recorded() -> None:
+def free_shelf() -> Workcell:
+    """The shelf's task with nothing around the arm."""
     cell = shelf()
     scene = SceneBuilder(cell.arm).build()
-    free = replace(cell, scene=scene, reachability=Reachability(cell.arm, scene))
+    return replace(cell, scene=scene, reachability=Reachability(cell.arm, scene))
+
+
+def test_the_program_is_made_where_demonstrations_were_recorded() -> None:
+    free = free_shelf()
     placement = Placement(np.array([0.03, -0.05, 0.02]), 0.3)
     here, there = made(free), made(free, placement)
     np.testing.assert_allclose(placement.poses(there.motion.poses)[0], here.motion.poses[0], atol=1e-9)
     np.testing.assert_allclose(placement.poses(there.learned), here.learned, atol=1e-9)
-    np.testing.assert_allclose(cell.arm.forward(there.motion.joints), there.motion.poses, atol=1e-12)
+    np.testing.assert_allclose(free.arm.forward(there.motion.joints), there.motion.poses, atol=1e-12)
 
 
 def test_other_files_hold_the_same_samples(tmp_path: Path) -> None:
@@ -285,21 +288,13 @@ def test_other_files_hold_the_same_samples(tmp_path: Path) -> None:
         write_bag(tmp_path / "bag", given)
 
 
-@pytest.mark.parametrize("helps", [True, False])
-def test_leaving_a_program_where_it_was_learned_is_advised_where_that_helps(
-    monkeypatch: pytest.MonkeyPatch, helps: bool
-) -> None:
-    def refused(*arguments: object) -> None:
-        if arguments[4] is not None or not helps:
-            raise WorkFailedError("out of reach")
-
-    monkeypatch.setattr(command, "read_trained", lambda *_: MagicMock())
-    for name in ("Guard", "tube_of"):
-        monkeypatch.setattr(command, name, MagicMock())
-    monkeypatch.setattr(command, "make_program", refused)
-    with pytest.raises(WorkFailedError) as error:
-        command.program_of(load_config(), Path("run"))
-    assert ("program.frame=placed leaves it" in str(error.value)) == helps
+def test_leaving_a_program_where_it_was_learned_is_advised_where_it_cannot_be_moved_back() -> None:
+    far = Placement(np.array([0.0, -2.0, 0.0]), 0.0)
+    with pytest.raises(WorkFailedError, match=r"follow the smoothed path.*; program\.frame=placed leaves it"):
+        made(free_shelf(), far)
+    with pytest.raises(WorkFailedError, match="must reach the goal") as error:
+        make_program(free_shelf(), lambda poses, starts: np.zeros(len(poses), dtype=int), settings(), STEP_LIMIT, far)
+    assert "placed" not in str(error.value)
 
 
 def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -142,6 +142,19 @@ def test_why_degrees_were_taken_is_told(tmp_path: Path) -> None:
         assert any(each.endswith(f"in deg, {name}") for each in load(path, NOTHING, None).reasons)
 
 
+def test_a_unit_is_the_files_and_not_a_demonstrations(tmp_path: Path) -> None:
+    count = len(TIMES)
+    angles = np.degrees(ANGLES[:, ::-1])
+    both = np.concatenate([angles, angles / 100.0])
+    number = np.repeat([0.0, 1.0], count)
+    given = number, np.tile(TIMES, 2), np.tile(P, (2, 1)), both
+    items = load(written(tmp_path / "log.csv", "demo t x y z A B C", *given), NOTHING, None).items
+    turns = [pose.rotation_distance(pose.IDENTITY, item.poses[0]) for item in items]
+    expected = [pose.from_roll_pitch_yaw(np.radians(each[0, ::-1])) for each in (angles, angles / 100.0)]
+    wanted = [pose.rotation_distance(pose.IDENTITY, pose.make(np.zeros(3), each)) for each in expected]
+    np.testing.assert_allclose(turns, wanted, atol=1e-5)
+
+
 def test_declared_order_of_columns(tmp_path: Path) -> None:
     path = written(tmp_path / "log.dat", None, TIMES, QUATERNION, P, TIMES)
     (found,) = poses_in(path, columns=["t", "qw", "qx", "qy", "qz", "x", "y", "z", "_"])

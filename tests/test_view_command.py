@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.errors import BadInputError
+from koopdqn.view.page import Shown
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,16 @@ def test_a_run_is_shown_with_its_starts_and_demonstrations(run: Path, tmp_path: 
     assert len(content["tracks"]) == 3
     assert content["trust"]["faces"]
     assert {geom["name"] for geom in content["scene"]["geoms"]} >= {"bottle_body", "floor"}
+
+
+def test_the_trust_shown_has_what_answers_added(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    feedback = MagicMock()
+    monkeypatch.setattr("koopdqn.app.commands.view.feedback_of", lambda *_: feedback)
+    monkeypatch.setattr("koopdqn.app.commands.view.learned_motions", lambda *_, **__: [])
+    pages = MagicMock()
+    monkeypatch.setattr("koopdqn.app.commands.view.write_page", pages)
+    assert cli.main(["view", f"run={run}", f"out={tmp_path}/page", "--json"]) == 0
+    assert feedback.reward.trust in [each.trust for each in pages.call_args.args if isinstance(each, Shown)]
 
 
 def test_demonstrations_are_shown_in_the_scene_of_their_own_task(

@@ -120,14 +120,14 @@ def without_outliers(item: Demonstration) -> Demonstration:
 def jump_of(item: Demonstration) -> float:
     """Return the largest step [m] that is made far faster than those beside it and nearly all others; 0 if none is.
 
-    A fast motion between slow ones gathers speed over several samples, a jump does not.
+    A fast motion between slow ones gathers speed over several samples; a jump is of one step, or of two in a row.
     """
     moved = pose.position_distance(item.poses[1:], item.poses[:-1])
     speed = moved / np.diff(item.times)
     usual = np.percentile(speed[speed > 0.0], _NEARLY_ALL) if (speed > 0.0).any() else 0.0
-    padded = np.pad(speed, 1)
-    rest = np.maximum(usual, np.maximum(padded[:-2], padded[2:]))
-    return float(moved[(moved > _JUMP_M) & (speed > _JUMP * rest)].max(initial=0.0))
+    before2, before, _, after, after2 = np.lib.stride_tricks.sliding_window_view(np.pad(speed, 2), 5).T
+    beside = np.min([np.maximum(before, after), np.maximum(before, after2), np.maximum(before2, after)], axis=0)
+    return float(moved[(moved > _JUMP_M) & (speed > _JUMP * np.maximum(usual, beside))].max(initial=0.0))
 
 
 def outlying(item: Demonstration) -> np.ndarray:

@@ -100,7 +100,7 @@ class ActionEvaluation:
             getattr(self, name)[rows] = getattr(evaluation, name)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class IntentReward:
     """The reward function of a task with a fitted intent.
 

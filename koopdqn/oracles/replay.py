@@ -78,10 +78,16 @@ class JournalledOracle(Oracle):
         records = read_records(path) if path.exists() else Records()
         _check(path, records, position)
         self._written = records.items
+        self._again = len(records.items)
         # Kept up to date rather than counted anew: a run may ask tens of thousands of questions.
         self._earlier = [item.earlier for item in records.withdrawable]
         self._pending = records.pending
         self._file = JournalFile(path)
+
+    @property
+    def caught_up(self) -> bool:
+        """Whether every answer that was written before has been given again, and fitted the run."""
+        return self.questions >= self._again
 
     def answer(self, question: Question) -> Answer:
         """Return the written answer, or ask, write the answer down and return it.

@@ -88,7 +88,9 @@ def make_program(
         except WorkFailedError as error:
             refused = refused or error
     assert refused is not None
-    raise refused
+    if placement is None:
+        raise refused
+    raise WorkFailedError(f"{refused}; program.frame=placed leaves it where demonstrations were moved to")
 
 
 def _checked(

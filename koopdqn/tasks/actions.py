@@ -94,10 +94,13 @@ def checked_indices(actions: ArrayLike, count: int) -> np.ndarray:
     Raises:
         ValueError: they are of another shape, no whole numbers, or one is none of the ten.
     """
-    given = np.asarray(actions)
-    if given.dtype == object:
-        # Whole numbers are what they are in an array of objects too.
-        given = np.asarray(given.tolist())
+    try:
+        given = np.asarray(actions)
+        if given.dtype == object:
+            # Whole numbers are what they are in an array of objects too.
+            given = np.asarray(given.tolist())
+    except ValueError as error:
+        raise ValueError(f"actions must have shape ({count},), found lists of several lengths") from error
     if given.shape != (count,):
         raise ValueError(f"actions must have shape ({count},), found {given.shape}")
     with np.errstate(invalid="ignore"):

@@ -189,7 +189,7 @@ def check_intent_file(config: Configuration) -> None:
         read_intent(Path(config.inputs.intent_file), config.task)
 
 
-def as_fitted(config: Configuration, intent: StoredIntent) -> Configuration:
+def as_fitted(config: Configuration, intent: StoredIntent, folder: Path) -> Configuration:
     """Return a config with the settings that an intent and its trust domain were fitted with.
 
     Raises:
@@ -199,7 +199,8 @@ def as_fitted(config: Configuration, intent: StoredIntent) -> Configuration:
     other = [name for name, settings in own.items() if described(settings) != described(getattr(config, name))]
     if other and config.inputs.intent_file is None:
         raise BadInputError(
-            f"{' and '.join(other)}: must be as the intent was fitted that the run holds already, found other settings"
+            f"{' and '.join(other)}: must be as the intent was fitted that the run holds already, found other settings;"
+            f" intent={console.shown_path(folder / INTENT)} takes the run's own"
         )
     if other:
         console.note(f"{' and '.join(other)}: as the intent was fitted, from which the config differs")

@@ -14,7 +14,7 @@ from koopdqn.app.commands.trained import read_trained
 from koopdqn.app.hydra.application import CommandResult
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
-from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.errors import BadInputError
 from koopdqn.files import sha256_of, write_json
 from koopdqn.oracles.terminal.device import require_terminal
 from koopdqn.paths import arc_lengths
@@ -93,16 +93,7 @@ def program_of(config: Configuration, run: Path) -> tuple[Program, Scene]:
         )
     policy, workcell, reward = trained.policy, trained.workcell, trained.reward
     guard = Guard(workcell, config.guard, tube_of(policy, reward.trust), reward.model.start_frame)
-    asked = workcell, policy, settings, trained.step_limit
-    try:
-        return make_program(*asked, placement, guard), workcell.scene
-    except WorkFailedError as error:
-        if placement is None:
-            raise
-        with contextlib.suppress(WorkFailedError):
-            make_program(*asked, None, guard)
-            error = WorkFailedError(f"{error}; program.frame=placed leaves it where demonstrations were moved to")
-        raise error from None
+    return make_program(workcell, policy, settings, trained.step_limit, placement, guard), workcell.scene
 
 
 def _check_formats(config: Configuration) -> None:

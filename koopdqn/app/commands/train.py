@@ -57,7 +57,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     # Earlier versions wrote down the config's own intent and trust, whatever intent=FILE held.
     earlier = {**config.shaped_by(), "made_from": made_from}
-    config = pipeline.as_fitted(config, intent)
+    config = pipeline.as_fitted(config, intent, folder)
     shaped_by = {**config.shaped_by(), "made_from": made_from}
     checkpoint = read_checkpoint(folder, shaped_by, earlier, config.robot)
     answered = questions_asked(checkpoint)
@@ -71,7 +71,6 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
         with reading(f"checkpoint {folder / CHECKPOINT}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
-    record_continued()
     dashboard = None
     if not config.oracle.shows_progress and not in_sweep() and fits(console.err()):
         poses = [item.poses for item in demonstrations.items]
@@ -172,8 +171,14 @@ def _learn(
             events.check(check)
             stage.advance(0, _progress(trainer, check))
 
+        def record_once_taken() -> None:
+            # What is given now may be refused until the last answer of before fits the run.
+            if oracle.caught_up:
+                record_continued()
+
         def on_round() -> None:
             nonlocal shown
+            record_once_taken()
             last = trainer.history.checks[-1] if trainer.history.checks else None
             oracle.learning(_progress(trainer, last))
             if dashboard is not None:
@@ -182,7 +187,10 @@ def _learn(
                 stage.advance(trainer.rounds - shown, _progress(trainer, last))
                 shown = trainer.rounds
 
-        trainer.run(on_check, on_round)
+        try:
+            trainer.run(on_check, on_round)
+        finally:
+            record_once_taken()
 
 
 def _progress(trainer: Trainer, check: Check | None) -> str:

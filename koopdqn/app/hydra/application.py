@@ -104,9 +104,11 @@ def record_continued() -> None:
     """
     from omegaconf import OmegaConf
 
+    global _continued
     if _continued is None:
         return
     record, folder = _continued
+    _continued = None
     with atomic_path(folder / RECORD) as path:
         path.write_text(OmegaConf.to_yaml(OmegaConf.create(list(record))), encoding="utf-8")
     with atomic_path(folder / RECORD.with_name("config.yaml")) as path:
@@ -123,6 +125,7 @@ def how_to_go_on(command: str, folder: Path) -> str:
         for source in HydraConfig.get().runtime.config_sources
         if source.provider in option and source.path != str(conf_dir())
     ]
+    own += [each for each in HydraConfig.get().overrides.hydra if each.startswith("hydra.searchpath")]
     command, *rest = going_on(command, folder)
     return f"{shlex.join(['koopdqn', command, *own, *rest])} goes on"
 

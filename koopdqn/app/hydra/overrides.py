@@ -43,6 +43,7 @@ _SHORT_NAMES: Final = {
 }
 _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
 """Keys without effect from Python."""
+_HYDRAS: Final = ("hydra.", "hydra/")
 _COPIES: Final = {"demos": DEMONSTRATIONS, "intent_file": INTENT}
 """Inputs that a run keeps a copy of, and its name."""
 
@@ -146,7 +147,8 @@ def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun
         f"hydra.run.dir={_text(folder)}",
         "hydra.output_subdir=null",
     ]
-    return Prepared(merged, [*(item.text for item in recorded), *(item for item in prepared if _key(item) != "run")])
+    given_now = [each for each in prepared if _key(each) != "run" and not _key(each).startswith(_HYDRAS)]
+    return Prepared(merged, [*(item.text for item in recorded), *given_now])
 
 
 def going_on(command: str, folder: Path) -> list[str]:
@@ -240,7 +242,7 @@ def as_hydra_takes_it(override: str) -> str:
     """
     prepared = _prepare_one("train", override)
     key = _key(prepared)
-    if key in _OF_THE_COMMAND_LINE or key.startswith(("hydra.", "hydra/")):
+    if key in _OF_THE_COMMAND_LINE or key.startswith(_HYDRAS):
         named = key.removesuffix("_file")
         raise BadInputError(f"{named}: must be left out, as nothing but the command line reads it, found {override}")
     return prepared

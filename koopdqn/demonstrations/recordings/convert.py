@@ -1,5 +1,6 @@
 """Recordings to demonstrations: the one place where units, orders, clocks and frames are settled, or asked for."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -78,6 +79,14 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
     return item, reasons
 
 
+def of_one_unit(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the recordings of a file, KUKA's angles in degrees if one of all is over 2π: a unit is the file's."""
+    turns = [each.turn for each in recordings if each.rotation == "kuka" and each.turn is not None]
+    if not any((np.abs(turn) > _LARGEST_RAD).any() for turn in turns):
+        return list(recordings)
+    return [replace(each, angles=each.angles or "deg") if each.rotation == "kuka" else each for each in recordings]
+
+
 class AskError(BadInputError):
     """Something must be declared."""
 
@@ -150,8 +159,8 @@ def _quaternion(recording: Recording, declared: ImportSettings, reasons: list[st
             rule += f"; import.angles: deg or rad, as the largest is {largest:g}, more than once around in rad"
         raise _ask(recording, "rotation", rule)
     stated = "as a name says" if angles else f"as none is over 2π (largest {largest:.3g})"
-    if angles is None and recording.rotation == "kuka":
-        if largest <= _LARGEST_RAD:
+    if recording.rotation == "kuka" and rotation != "vector" and angles != "rad":
+        if angles is None and largest <= _LARGEST_RAD:
             rule = f"deg or rad, as KUKA writes A B C in deg, and the largest is {largest:.3g}, which may be either"
             raise _ask(recording, "angles", rule)
         angles, stated = "deg", "as KUKA writes A B C"

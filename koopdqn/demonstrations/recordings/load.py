@@ -16,7 +16,7 @@ from koopdqn.demonstrations.csv import is_own
 from koopdqn.demonstrations.dataset import Demonstration, Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.recordings import arrays, datasets, ros, text
-from koopdqn.demonstrations.recordings.convert import converted
+from koopdqn.demonstrations.recordings.convert import converted, of_one_unit
 from koopdqn.demonstrations.recordings.cutting import Cut, cut_between, motions_of
 from koopdqn.demonstrations.recordings.recording import ImportSettings, Recording
 from koopdqn.errors import BadInputError
@@ -205,7 +205,7 @@ def _read(path: Path, kind: Kind, declared: ImportSettings, arm: Arm | None, cut
     recordings = kind.read(path, declared, arm)
     if len(recordings) > _MOST:
         raise BadInputError(f"demos {path}: must hold at most {_MOST} demonstrations, found {len(recordings)}")
-    done = [converted(each, declared, arm) for each in recordings]
+    done = [converted(each, declared, arm) for each in of_one_unit(recordings)]
     items = [item for item, _ in done]
     motions = motions_of(items[0]) if cut and len(items) == 1 else []
     about = {

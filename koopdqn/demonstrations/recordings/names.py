@@ -237,7 +237,10 @@ def _unit(places: Sequence[int], known: Sequence[Name]) -> Units | None:
 
 def _turn(owner: str, places: Sequence[int], rotation: RowRotation | None, known: Sequence[Name]) -> PoseColumns:
     order: QuaternionOrder | None = "wxyz" if rotation == "quaternion" else None
-    return PoseColumns(owner, (), tuple(places), rotation, order, None, angle_unit([known[i] for i in places]))
+    angles = angle_unit([known[i] for i in places])
+    # Where names say the unit, KUKA's habit says nothing.
+    kind: RowRotation | None = "angles" if rotation == "kuka" and angles else rotation
+    return PoseColumns(owner, (), tuple(places), kind, order, None, angles)
 
 
 def _three(words: Iterable[str]) -> RowRotation | None:
