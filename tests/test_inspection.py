@@ -74,10 +74,10 @@ def test_a_step_that_stays_is_a_jump(arm: Arm) -> None:
     assert jump_of(stepped) == pytest.approx(0.05, abs=0.002)
     assert jump_of(recorded(arc())) == 0.0
     # A tracker that interpolates jumps in two steps.
-    halfway = Demonstration(stepped.times, stepped.poses.copy())
+    halfway = stepped.poses.copy()
     place = int(np.linalg.norm(np.diff(stepped.poses[:, :3], axis=0), axis=1).argmax())
-    halfway.poses[place] = 0.5 * (stepped.poses[place - 1] + stepped.poses[place + 1])
-    assert jump_of(halfway) == pytest.approx(0.025, abs=0.002)
+    halfway[place] = 0.5 * (stepped.poses[place - 1] + stepped.poses[place + 1])
+    assert jump_of(Demonstration(stepped.times, halfway)) == pytest.approx(0.025, abs=0.002)
     found = describe(stepped, clean(stepped, steps(smoothing=True)), arm, None)
     assert found.jump_mm == pytest.approx(50, abs=2)
     assert found.outliers == 0

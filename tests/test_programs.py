@@ -293,7 +293,7 @@ def test_leaving_a_program_where_it_was_learned_is_advised_where_it_cannot_be_mo
     with pytest.raises(WorkFailedError, match=r"follow the smoothed path.*; program\.frame=placed leaves it"):
         made(free_shelf(), far)
     with pytest.raises(WorkFailedError, match="must reach the goal") as error:
-        make_program(free_shelf(), lambda poses, starts: np.zeros(len(poses), dtype=int), settings(), STEP_LIMIT, far)
+        make_program(free_shelf(), lambda poses, starts: np.full(len(poses), 4), settings(), STEP_LIMIT, far)
     assert "placed" not in str(error.value)
 
 

@@ -12,6 +12,7 @@ import pytest
 from small_run import SMALL
 
 from koopdqn.app import cli
+from koopdqn.app.commands import view
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
@@ -45,13 +46,13 @@ def test_a_run_is_shown_with_its_starts_and_demonstrations(run: Path, tmp_path: 
 
 
 def test_the_trust_shown_has_what_answers_added(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    feedback = MagicMock()
-    monkeypatch.setattr("koopdqn.app.commands.view.feedback_of", lambda *_: feedback)
-    monkeypatch.setattr("koopdqn.app.commands.view.learned_motions", lambda *_, **__: [])
-    pages = MagicMock()
-    monkeypatch.setattr("koopdqn.app.commands.view.write_page", pages)
+    feedback, trusts = MagicMock(), []
+    monkeypatch.setattr(view, "feedback_of", lambda *_: feedback)
+    monkeypatch.setattr(view, "learned_motions", lambda *_, **__: [])
+    monkeypatch.setattr(view, "write_page", lambda folder, _: folder)
+    monkeypatch.setattr(Shown, "content", lambda self: trusts.append(self.trust))
     assert cli.main(["view", f"run={run}", f"out={tmp_path}/page", "--json"]) == 0
-    assert feedback.reward.trust in [each.trust for each in pages.call_args.args if isinstance(each, Shown)]
+    assert trusts == [feedback.reward.trust]
 
 
 def test_demonstrations_are_shown_in_the_scene_of_their_own_task(
