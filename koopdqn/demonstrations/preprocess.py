@@ -259,7 +259,7 @@ def _smooth_component(values: Array) -> Array:
 def difference_bands(count: int, order: int) -> Array:
     """Return the upper diagonals (order + 1, count) of ΔᵀΔ, Δ the differences of that order of ``count`` values.
 
-    They are in the form that :func:`scipy.linalg.solveh_banded` takes.
+    They are in the form that ``scipy.linalg.solveh_banded`` takes.
     """
     kernel = np.diff(np.eye(order + 1), n=order, axis=0)[0]
     bands = np.zeros((order + 1, count))
