@@ -119,6 +119,14 @@ def test_what_a_run_goes_on_with_is_recorded_once_its_answers_fit(begun: Path, t
     assert (folder / RECORD).read_text(encoding="utf-8") == before + (f"- {given}\n" if fits else "")
 
 
+def test_a_run_that_ends_before_all_answers_came_again_is_recorded(begun: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(begun, folder, ignore=shutil.ignore_patterns("checkpoints"))
+    assert cli.main(["train", f"run={folder}", "oracle.budget=1"]) in (0, 1)
+    assert len((folder / "feedback.jsonl").read_text(encoding="utf-8").splitlines()) > 1
+    assert "oracle.budget=1" in (folder / RECORD).read_text(encoding="utf-8")
+
+
 def test_a_pause_before_the_first_check_is_gone_on_from_with_the_same_oracle(begun: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     shutil.copytree(begun, folder, ignore=shutil.ignore_patterns("checkpoints", "feedback.jsonl"))
@@ -138,18 +146,21 @@ def test_a_run_goes_on_with_no_other_intent_than_its_own(begun: Path, capsys: py
     assert (begun / RECORD).read_bytes() == before
 
 
+@pytest.mark.parametrize("named", ["--config-dir={}/my conf", "hydra.searchpath=[file://{}/my_conf]"])
 def test_the_command_that_goes_on_names_the_config_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, named: str
 ) -> None:
-    (tmp_path / "my conf" / "task").mkdir(parents=True)
     text = "defaults: [shelf, _self_]\nname: mine\n"
-    (tmp_path / "my conf" / "task" / "mine.yaml").write_text(text, encoding="utf-8")
+    for folder in ("my conf", "my_conf"):
+        (tmp_path / folder / "task").mkdir(parents=True)
+        (tmp_path / folder / "task" / "mine.yaml").write_text(text, encoding="utf-8")
     monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-    own = [f"--config-dir={tmp_path / 'my conf'}", "task=mine"]
+    own = [named.format(tmp_path), "task=mine"]
     assert cli.main(["train", *SMALL, *own, f"out={tmp_path}/run"]) == 130
     told = capsys.readouterr().err.split("; koopdqn ")[1].partition(" goes on")[0]
     assert shlex.split(told)[:2] == ["train", own[0]]
-    assert cli.main(shlex.split(told)) == 130
+    assert cli.main([*shlex.split(told), "train.max_steps=7779"]) == 130
+    assert "train.max_steps=7779" in (tmp_path / "run" / RECORD).read_text(encoding="utf-8")
 
 
 def test_a_policy_holds_the_settings_that_its_intent_was_fitted_with(

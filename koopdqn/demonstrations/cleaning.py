@@ -121,6 +121,7 @@ def jump_of(item: Demonstration) -> float:
     """Return the largest step [m] that is made far faster than those beside it and nearly all others; 0 if none is.
 
     A fast motion between slow ones gathers speed over several samples; a jump is of one step, or of two in a row.
+    More fast steps in a row are taken for a motion.
     """
     moved = pose.position_distance(item.poses[1:], item.poses[:-1])
     speed = moved / np.diff(item.times)

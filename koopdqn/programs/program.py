@@ -88,9 +88,7 @@ def make_program(
         except WorkFailedError as error:
             refused = refused or error
     assert refused is not None
-    if placement is None:
-        raise refused
-    raise WorkFailedError(f"{refused}; program.frame=placed leaves it where demonstrations were moved to")
+    raise refused
 
 
 def _checked(
@@ -105,11 +103,17 @@ def _checked(
 ) -> Program:
     """Return the program along a smoothed path (T, 7); WorkFailedError unless it keeps all it must."""
     arm, task = workcell.arm, workcell.task
-    followed = _followed(workcell, smooth, joints)
-    motion = timed(followed, arm.forward, limits, settings.period_s)
-    check_free(workcell, motion)
-    if guard is not None:
-        check_clear(guard, motion)
+    try:
+        followed = _followed(workcell, smooth, joints)
+        motion = timed(followed, arm.forward, limits, settings.period_s)
+        check_free(workcell, motion)
+        if guard is not None:
+            check_clear(guard, motion)
+    except WorkFailedError as error:
+        if placement is None:
+            raise
+        hint = "program.frame=placed leaves it where demonstrations were moved to"
+        raise WorkFailedError(f"{error}; {hint}") from error
     check_rule(task, motion, placement)
     execution = check_dynamics(workcell, motion, settings)
     return Program(task.name, arm, motion, limits, learned, smooth, followed, execution)

@@ -189,8 +189,10 @@ def _learn(
 
         try:
             trainer.run(on_check, on_round)
-        finally:
+        except BaseException:
             record_once_taken()
+            raise
+        record_continued()
 
 
 def _progress(trainer: Trainer, check: Check | None) -> str:

@@ -109,10 +109,17 @@ def record_continued() -> None:
         return
     record, folder = _continued
     _continued = None
-    with atomic_path(folder / RECORD) as path:
-        path.write_text(OmegaConf.to_yaml(OmegaConf.create(list(record))), encoding="utf-8")
-    with atomic_path(folder / RECORD.with_name("config.yaml")) as path:
-        path.write_text(OmegaConf.to_yaml(composed(record)), encoding="utf-8")
+    config = composed([*record, *_search_path()])
+    for name, content in ((RECORD.name, OmegaConf.create(list(record))), ("config.yaml", config)):
+        with atomic_path(folder / RECORD.with_name(name)) as path:
+            path.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
+
+
+def _search_path() -> list[str]:
+    """Return the present command's override of where options are searched, if it has one."""
+    from hydra.core.hydra_config import HydraConfig
+
+    return [each for each in HydraConfig.get().overrides.hydra if each.startswith("hydra.searchpath")]
 
 
 def how_to_go_on(command: str, folder: Path) -> str:
@@ -125,9 +132,8 @@ def how_to_go_on(command: str, folder: Path) -> str:
         for source in HydraConfig.get().runtime.config_sources
         if source.provider in option and source.path != str(conf_dir())
     ]
-    own += [each for each in HydraConfig.get().overrides.hydra if each.startswith("hydra.searchpath")]
     command, *rest = going_on(command, folder)
-    return f"{shlex.join(['koopdqn', command, *own, *rest])} goes on"
+    return f"{shlex.join(['koopdqn', command, *own, *_search_path(), *rest])} goes on"
 
 
 def run(

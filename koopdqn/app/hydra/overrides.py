@@ -73,7 +73,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
       grammar (a space, a bracket) or read as a number, and a leading ``~`` is the home folder. ``demos=`` may be a list
       in brackets, which is Hydra's own grammar, unless a file is named so.
     - Where a command goes on in DIR the overrides recorded in ``DIR/.hydra`` come first, the new ones after them; the
-      run folder is DIR, whose record takes the new ones once the run has. The record is data
+      run folder is DIR, whose record takes the new ones once a training has. The record is data
       (:mod:`koopdqn.app.hydra.record`), never an order to Hydra. Inputs that DIR keeps a copy of are read from there,
       wherever the files first given are by now. Where another oracle is given, the recorded one's settings go.
     - Where it looks at a trained run the overrides recorded there come first, so that task and robot are the run's own;
