@@ -11,6 +11,7 @@ from small_run import SMALL
 from koopdqn.app import cli
 from koopdqn.artifact import described, read_artifact, write_artifact
 from koopdqn.files import read_json
+from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.rl.algorithm1 import Trainer
 
 RECORD = Path(".hydra") / "overrides.yaml"
@@ -119,12 +120,17 @@ def test_what_a_run_goes_on_with_is_recorded_once_its_answers_fit(begun: Path, t
     assert (folder / RECORD).read_text(encoding="utf-8") == before + (f"- {given}\n" if fits else "")
 
 
-def test_a_run_that_ends_before_all_answers_came_again_is_recorded(begun: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stopped", [False, True])
+def test_before_all_answers_came_again_a_run_is_recorded_if_it_ends(
+    begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stopped: bool
+) -> None:
     folder = tmp_path / "run"
     shutil.copytree(begun, folder, ignore=shutil.ignore_patterns("checkpoints"))
-    assert cli.main(["train", f"run={folder}", "oracle.budget=1"]) in (0, 1)
-    assert len((folder / "feedback.jsonl").read_text(encoding="utf-8").splitlines()) > 1
-    assert "oracle.budget=1" in (folder / RECORD).read_text(encoding="utf-8")
+    monkeypatch.setattr(JournalledOracle, "caught_up", False)
+    if stopped:
+        monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    assert cli.main(["train", f"run={folder}", "train.max_steps=20"]) == (130 if stopped else 1)
+    assert ("train.max_steps=20" in (folder / RECORD).read_text(encoding="utf-8")) != stopped
 
 
 def test_a_pause_before_the_first_check_is_gone_on_from_with_the_same_oracle(begun: Path, tmp_path: Path) -> None:
