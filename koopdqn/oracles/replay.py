@@ -161,8 +161,8 @@ def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
         raise BadInputError(
             f"journal {path}: answer {line.number} must be to the question the run asks (episode {question.episode},"
             f" step {question.step}, action {question.action}), found episode {line.episode}, step {line.step}, action"
-            f" {line.action}{' at another pose' if same else ''}; config, seed and every earlier answer must be those of"
-            " the journal (after an edit: koopdqn feedback edit --drop-later asks later ones anew)"
+            f" {line.action}{' at another pose' if same else ''}; config, seed and every earlier answer must be those"
+            " of the journal (after an edit: koopdqn feedback edit --drop-later asks later ones anew)"
         )
     answer = record.answer
     try:
