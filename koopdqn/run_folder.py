@@ -38,6 +38,18 @@ _MOST_ENTRIES: Final = 100_000
 _held: dict[Path, int] = {}
 
 
+def newest_trained_run() -> Path:
+    """Return the folder of the newest finished training run below ``runs/``.
+
+    Raises:
+        BadInputError: there is none.
+    """
+    finished = [path for path in RUNS.rglob(TRAINING) if (path.parent / POLICY).is_file()]
+    if not finished:
+        raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
+    return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
+
+
 def check_plain(folder: Path) -> None:
     """Raise unless a folder holds, at any depth, nothing but files and folders: no links, pipes or devices.
 

@@ -307,6 +307,9 @@ class TestOverrides:
         prepared = prepare("train", going_on("train", folder)[1:])
         assert prepared.record == [*own[:1], *own[2:], "task=knife", f"out={folder}", "command=train", *given]
 
+    def test_the_command_that_goes_on_is_told_without_a_record_too(self, tmp_path: Path) -> None:
+        assert going_on("train", tmp_path) == ["train", f"run={tmp_path}"]
+
     def test_a_journal_is_named_in_short_or_in_full(self) -> None:
         for name in ("journal", "oracle.journal"):
             found = prepare("train", ["oracle=replay", f"{name}=a folder/feedback.jsonl"]).overrides

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ from koopdqn.app.command_table import COMMANDS
 from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record, said_again
 from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError
-from koopdqn.run_folder import DEMONSTRATIONS, INTENT, JOURNAL, POLICY, RUNS, TRAINING
+from koopdqn.run_folder import DEMONSTRATIONS, INTENT, JOURNAL, newest_trained_run
 from koopdqn.settings import shown
 
 PATH_KEYS: Final = (
@@ -112,7 +113,7 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
     if what.looks_at == "needed" and folder is None:
         raise BadInputError(f"run: must name the trained run to {command}, found none")
     if what.looks_at == "newest" and folder is None and not shows_demonstrations:
-        folder = str(_newest_trained_run())
+        folder = str(newest_trained_run())
     if what.looks_at and folder is not None:
         return _looking_at(folder, command, prepared)
     if any_task and "task" not in keys:
@@ -135,12 +136,11 @@ def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun
         recorded = [item for item in recorded if item.root != "oracle"]
     copied = _copied(Path(folder), recorded)
     # That an intent was given still says whose settings hold.
-    given_intent = "intent_file" in copied and any(item.key == "intent_file" for item in recorded)
-    own_intent = [f"intent_file={_text(f'{folder}/{INTENT}')}"] if given_intent else []
+    own_intent = "intent_file" in copied and any(item.key == "intent_file" for item in recorded)
     paths = [key for key in keys if key.rpartition(".")[2] in PATH_NAMES]
     merged = [
         *check_record(recorded, Path(folder), _trusted(prepared), [*paths, *copied]),
-        *own_intent,
+        *([f"intent_file={_text(f'{folder}/{INTENT}')}"] if own_intent else []),
         *prepared,
         f"command={command}",
         f"out={_text(folder)}",
@@ -154,10 +154,11 @@ def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun
 def going_on(command: str, folder: Path) -> list[str]:
     """Return the words after ``koopdqn`` that go on with a run of a command in its folder.
 
-    Raises:
-        BadInputError: the run's record is missing or damaged.
+    They are told where something went wrong already: a record that is missing or damaged raises nothing.
     """
-    recorded = _recorded(str(folder), command)
+    recorded: list[Recorded] = []
+    with suppress(BadInputError, OSError):
+        recorded = _recorded(str(folder), command)
     return [command, f"run={shown_path(folder)}", *said_again(recorded, _copied(folder, recorded))]
 
 
@@ -191,14 +192,6 @@ def _check_compared(prepared: Sequence[str]) -> None:
         key = _key(override)
         if key != "view.starts" and key.partition(".")[0] not in heeded:
             raise BadInputError(f"{key}: koopdqn compare shows its runs as they were trained, found {shown(override)}")
-
-
-def _newest_trained_run() -> Path:
-    """Return the folder of the newest finished training run below ``runs/``; BadInputError if there is none."""
-    finished = [path for path in RUNS.rglob(TRAINING) if (path.parent / POLICY).is_file()]
-    if not finished:
-        raise BadInputError("run: must name a trained run, found none given and none below runs/; train one first")
-    return max(finished, key=lambda path: path.stat().st_mtime_ns).parent
 
 
 def _looking_at(folder: str, command: str, prepared: Sequence[str]) -> Prepared:
