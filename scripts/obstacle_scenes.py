@@ -47,8 +47,10 @@ _STARTS: Final = 4
 _FIRST, _LAST, _FREE_M = 0.12, 0.80, 0.02
 _BEHIND_M: Final = 0.06
 _DRAWS: Final = 3000
-# The search for any way at all: its grid [m], how far from the path it looks [m], through how many of its attitudes.
-_CELL_M, _ASIDE_M, _ATTITUDES = 0.01, 0.30, 12
+# The search for any way at all: its grid [m], how far from the path it looks [m], through how many of its attitudes,
+# how far a joint may move from place to place [rad], and by how much it moves between two looks [rad].
+_CELL_M, _ASIDE_M, _ATTITUDES = 0.015, 0.2, 24
+_SWEPT_RAD, _SEEN_RAD = 0.6, 0.03
 
 
 @dataclass(frozen=True)
@@ -214,42 +216,48 @@ def measured(learned: Learned, obstacle: Obstacle, last: int) -> dict[str, Any]:
 
 
 def way_exists(learned: Learned, cell: Workcell) -> bool:
-    """Return whether any way leads from the nominal start to the goal, as far as a grid of 10 mm can tell.
+    """Return whether any way leads the arm from the nominal start to the goal, as far as a grid of 15 mm can tell.
 
-    The tool may be anywhere within 0.3 m of the path, in any of the path's attitudes, which may change from place to
-    place; the arm keeps its posture. It is no part of the method, and allows more than any method may do.
+    The tool may be anywhere within 0.2 m of the path, in any of the path's attitudes, which may change from place to
+    place; from one to the next the joints move evenly, and the whole arm stays clear. It is no part of the method, and
+    allows more than any method may do.
     """
-    path, joints, arm, scene = learned.path, learned.joints, cell.arm, cell.scene
-    chosen = np.unique(np.linspace(0, len(path) - 1, _ATTITUDES).round().astype(int))
-    if cell.task.orientation == "held":
-        chosen = chosen[-1:]
+    path, arm, scene = learned.path, cell.arm, cell.scene
+    turned = np.append(0.0, np.cumsum(pose.rotation_distance(path[1:], path[:-1])))
+    held = cell.task.orientation == "held"
+    shares = np.ones(1) if held else np.linspace(0.0, 1.0, _ATTITUDES)
+    attitudes = path[np.searchsorted(turned, shares * turned[-1]), pose.QUATERNION]
     low = path[:, pose.POSITION].min(axis=0) - _ASIDE_M
-    shape = (*(np.ceil((path[:, pose.POSITION].max(axis=0) + _ASIDE_M - low) / _CELL_M).astype(int) + 1), len(chosen))
-    tree = KDTree(path[:, pose.POSITION])
-    seen = np.zeros(shape, dtype=bool)
+    high = path[:, pose.POSITION].max(axis=0) + _ASIDE_M
+    shape = np.array([*(np.ceil((high - low) / _CELL_M).astype(int) + 1), len(attitudes)])
 
     def node(place: Array, attitude: int) -> tuple[int, ...]:
-        return (*np.round((place[pose.POSITION] - low) / _CELL_M).astype(int), attitude)
+        return (*np.round((place[pose.POSITION] - low) / _CELL_M).astype(int).tolist(), attitude)
 
-    def free(nodes: np.ndarray) -> np.ndarray:
-        position = low + nodes[:, :3] * _CELL_M
-        poses = pose.make(position, path[chosen[nodes[:, 3]], pose.QUATERNION])
-        found = arm.inverse_batch(poses, joints[np.minimum(tree.query(position)[1], len(joints) - 1)])
-        return np.array([not np.isnan(each[0]) and min(scene.rooms(each, 0.0)) >= 0.0 for each in found])
+    def clear(before: Array, after: Array) -> bool:
+        far = float(np.abs(after - before).max())
+        if np.isnan(far) or far > _SWEPT_RAD:
+            return False
+        between = np.linspace(1.0, 0.0, 2 + int(far / _SEEN_RAD))[:-1, None]
+        return all(min(scene.rooms(each, 0.0)) >= 0.0 for each in before + between * (after - before))
 
-    goal = node(path[-1], len(chosen) - 1)
-    frontier = np.array([node(path[0], 0)])
-    seen[tuple(frontier[0])] = True
+    start, goal = node(path[0], 0), node(path[-1], len(attitudes) - 1)
+    postures = {start: learned.joints[0]}
     steps = np.concatenate([np.eye(4, dtype=int), -np.eye(4, dtype=int)])
-    while len(frontier):
-        beside = np.unique((frontier[:, None] + steps).reshape(-1, 4), axis=0)
-        beside = beside[((beside >= 0) & (beside < shape)).all(axis=1)]
-        beside = beside[~seen[tuple(beside.T)]]
-        seen[tuple(beside.T)] = True
-        if seen[goal]:
-            return True
-        frontier = beside[free(beside)] if len(beside) else beside
-    return False
+    frontier = [start]
+    while frontier and goal not in postures:
+        beside: dict[tuple[int, ...], tuple[int, ...]] = {}
+        for here in frontier:
+            for there in np.array(here) + steps:
+                if (there >= 0).all() and (there < shape).all() and tuple(there.tolist()) not in postures:
+                    beside.setdefault(tuple(there.tolist()), here)
+        nodes = np.array(list(beside)).reshape(-1, 4)
+        before = np.array([postures[here] for here in beside.values()]).reshape(len(nodes), -1)
+        found = arm.inverse_batch(pose.make(low + nodes[:, :3] * _CELL_M, attitudes[nodes[:, 3]]), before)
+        reached = {there: after for there, one, after in zip(beside, before, found, strict=True) if clear(one, after)}
+        postures |= reached
+        frontier = list(reached)
+    return goal in postures
 
 
 def behind(learned: Learned, episodes: list[Episode], last: int, starts: Array) -> list[float]:
