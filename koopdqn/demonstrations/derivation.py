@@ -23,6 +23,7 @@ from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.task import TaskChoice, check_goal_moves_alone
+from koopdqn.tasks.unfolding import Unfolding
 
 # The default step [m], and its bounds: it is shorter where a demonstration would have too few steps, longer where it
 # would have too many.
@@ -122,6 +123,7 @@ class Derivation(TaskChoice):
             *_about_jumps([each.item for each in cut[: len(learned)]]),
             _about_ends(task, spread),
             _about_motion(task, largest_turn_from(shown, goal)),
+            *_about_passages(task),
             *_about_turns_away(task),
             *_about_together(learned),
             *self._about_held_out(aside, learned, goal, turning),
@@ -173,7 +175,8 @@ class Derivation(TaskChoice):
             )
         start = starts[_middle_one(trajectories)]
         half = np.abs(starts - start)[:, pose.POSITION].max(axis=0) + self.start_margin_m
-        frame = StartFrame.chosen(trajectories, start, goal)
+        unfolded = Unfolding.of(trajectories, step) is not None
+        follows = not unfolded and StartFrame.chosen(trajectories, start, goal).follows
         return DemonstratedTask.shown(
             trajectories,
             name=self.name,
@@ -194,7 +197,8 @@ class Derivation(TaskChoice):
             least_clearance_m=0.0,
             turning=turning,
             held_limit_rad=self.held_limit_rad,
-            follows_start=frame.follows,
+            follows_start=follows,
+            passes_itself=unfolded,
             start_margin_m=self.start_margin_m,
             holdout=kept,
             training=training.digest(),
@@ -270,6 +274,16 @@ def _about_motion(task: DemonstratedTask, turned: float) -> str:
         f"step: {task.step_m * 1e3:.3g} mm, {min(steps)} to {max(steps)} a demonstration; orientation:"
         f" {meaning[task.turning]} (demonstrated up to {np.degrees(turned):.1f}° from the goal's)"
     )
+
+
+def _about_passages(task: DemonstratedTask) -> list[str]:
+    unfolding = task.person_frame.unfolding
+    if unfolding is None:
+        return []
+    legs = len(unfolding.cuts) + 1
+    return [
+        f"the path passes itself: it is learned in {legs} legs, and which one a pose is on is known from where it was"
+    ]
 
 
 def _about_turns_away(task: DemonstratedTask) -> list[str]:

@@ -267,7 +267,7 @@ def _spread(values: Array) -> dict[str, float | None]:
 def _tube_fraction(paths: list[Array], frame: StartFrame, trust: TrustDomain) -> float | None:
     if not paths:
         return None
-    reached = np.concatenate([frame.to_frame(path[1:], path[:1]) for path in paths])
+    reached = np.concatenate([frame.along(path)[1:] for path in paths])
     steps = np.concatenate([np.arange(1, len(path)) for path in paths])
     return float(trust.contains(reached, steps).mean())
 

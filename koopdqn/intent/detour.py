@@ -63,11 +63,13 @@ def detour(workcell: Workcell, model: IntentModel, starts: Array) -> Bend | None
     If paths follow their start, those from all of the demonstrations' ``starts`` (D, 7) are kept clear.
 
     Raises:
-        BadInputError: there is no way around within reach.
+        BadInputError: there is no way around within reach, or the path passes itself.
     """
     task = workcell.task
     if not task.obstacles:
         return None
+    if model.start_frame.unfolding is not None:
+        raise BadInputError(f"task {task.name}: a path among obstacles must not pass itself, found one that does")
     begun = starts if model.start_frame.follows else task.nominal_start[None]
     grid = _Grid.along(workcell, model, begun)
     blocked = np.flatnonzero(grid.own_rooms[:, 0] < 0.0)

@@ -92,6 +92,7 @@ class IntentModel(ABC):
         """
         poses = [starts]
         for _ in range(limit):
+            starts = self.start_frame.onward(poses[-1], starts)
             poses.append(self.to_step(poses[-1], self.intended(poses[-1], starts), step))
             if np.abs(poses[-1] - poses[-2]).max() < _AT_REST:
                 break

@@ -229,6 +229,7 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
         return model.predict_step(poses, task.step_m)
 
     def from_starts(poses: Array, starts: Array) -> Array:
+        starts[:] = model.start_frame.onward(poses, starts)
         return model.to_step(poses, model.intended(poses, starts), task.step_m)
 
     there, far = _arrives(in_frame, demonstrated, task, limit), _arrives(from_starts, wide, task, limit)
@@ -252,22 +253,25 @@ def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Genera
 def _arrives(move: Callable[[Array, Array], Array], starts: Array, task: Task, limit: int) -> np.ndarray:
     """Return whether the roll-out from each start (N, 7) reaches the goal in ``limit`` steps and stays, (N,).
 
-    ``move`` gives the next poses (N, 7) of poses (N, 7) of roll-outs from starts (N, 7).
+    ``move`` gives the next poses (N, 7) of poses (N, 7) of roll-outs from starts (N, 7), and sets the starts that count
+    from there on.
     """
     arrived = np.zeros(len(starts), dtype=bool)
-    under_way, poses = np.arange(len(starts)), starts
-    ends = starts.copy()
+    under_way, poses, begun = np.arange(len(starts)), starts, starts.copy()
+    ends, starts = starts.copy(), starts.copy()
     for _ in range(limit):
-        poses = move(poses, starts[under_way])
+        poses = move(poses, begun)
         there = _at_goal(poses, task)
         arrived[under_way[there]] = True
-        ends[under_way[there]] = poses[there]
-        under_way, poses = under_way[~there], poses[~there]
+        ends[under_way[there]], starts[under_way[there]] = poses[there], begun[there]
+        under_way, poses, begun = under_way[~there], poses[~there], begun[~there]
         if not len(under_way):
             break
     # A roll-out that only passes the goal has left it a few steps later.
+    rest, begun = ends[arrived], starts[arrived]
     for _ in range(_REST_STEPS):
-        ends[arrived] = move(ends[arrived], starts[arrived])
+        rest = move(rest, begun)
+    ends[arrived] = rest
     arrived[arrived] = _at_goal(ends[arrived], task)
     return arrived
 

@@ -62,6 +62,8 @@ class WholePoseSettings(IntentSettings):
 
     def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
         """Return the frame in which the mean of the other trajectories (N, 7) is nearer to the one left out."""
+        if task.unfolds:
+            return task.person_frame
         return StartFrame.chosen(trajectories, task.nominal_start, task.goal)
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:

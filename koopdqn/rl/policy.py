@@ -190,8 +190,7 @@ def write_policy(
     """Write a policy: the network's arrays and settings, its frame, and further metadata ``about``."""
     kind = {"actions": CONTINUOUS} if continuous else {}
     about = {**about, **kind, "network": described(network), "frame": frame.described()}
-    regression = {} if frame.regression is None else frame.regression.arrays()
-    held = {_FRAME + name: values for name, values in regression.items()}
+    held = {_FRAME + name: values for name, values in frame.learned().items()}
     write_artifact(path, Artifact(KIND, {**arrays, **held}, about))
 
 

@@ -21,7 +21,7 @@ class EpisodeStart:
 
     Attributes:
         pose: (7,) of the flange.
-        start: (7,) where it began; for one that begins along a demonstration, a start of the region.
+        start: (7,) where it began; for one that begins along a demonstration, a start of the region, or of its leg.
         joints: (6,) joint angles [rad].
         limit: steps after which it is truncated.
         exploring: whether it is a short episode for exploring.
@@ -92,7 +92,7 @@ class StartSampler:
             pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
             if task.orientation == "learned":
                 pose[3:] = _turned(pose[3:], task, agent.exploring_spread_rad, rng)
-            start = task.draw_starts(rng, 1)[0]
+            start = self.frame.start_of(pose, task.draw_starts(rng, 1)[0])
             pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
             motion = reachability.enter(pose)
             if motion.joints is not None and not task.reached(pose[None])[0]:

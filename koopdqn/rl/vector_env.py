@@ -204,7 +204,7 @@ class VectorEnv:
         episodes.stored[index, action] = True
         episodes.rewards[index] += reward
         if moves and motion.joints is not None:
-            episodes.move(index, evaluation.reached[index, action], motion.joints)
+            self._move(index, evaluation.reached[index, action], motion.joints)
         else:
             episodes.tried[index, action] = True
         return Attempt(reward, asked, new, at_goal, truncated)
@@ -235,11 +235,17 @@ class VectorEnv:
     def _put_off(self, index: int, action: int, evaluation: ActionEvaluation, joints: Array) -> Attempt:
         """Keep a question for the end of its episode; until then its action is provisionally treated as right."""
         full = self.put_off.add(index, self._open_attempt(index, action))
-        self.episodes.move(index, evaluation.reached[index, action], joints)
+        self._move(index, evaluation.reached[index, action], joints)
         at_goal = bool(evaluation.at_goal[index, action])
         return Attempt(
             None, at_goal=at_goal, truncated=full or bool(self.episodes.steps[index] >= self.episodes.limits[index])
         )
+
+    def _move(self, index: int, pose: Array, joints: Array) -> None:
+        episodes, one = self.episodes, slice(index, index + 1)
+        episodes.move(index, pose, joints)
+        frame = self.feedback.reward.model.start_frame
+        episodes.starts[one] = frame.onward(episodes.poses[one], episodes.starts[one])
 
     def _open_attempt(self, index: int, action: int) -> OpenAttempt:
         here = self.episodes

@@ -197,7 +197,9 @@ class Guard:
 
         Where the goal is ``moved`` (3,) [m], the poses are those in the world all the same.
         """
-        motions = self.moves(poses[1:], poses[:-1], joints[:-1], np.broadcast_to(poses[0], poses[1:].shape), moved)
+        away = np.concatenate([np.zeros(3) if moved is None else moved, np.zeros(4)])
+        starts = self._frame.begun(poses[:-1] - away) + away
+        motions = self.moves(poses[1:], poses[:-1], joints[:-1], starts, moved)
         for step, motion in enumerate(motions):
             if motion.joints is None:
                 return self._note(Refusal(step, motion.reason, motion.detail, poses[step + 1]))

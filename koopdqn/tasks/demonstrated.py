@@ -14,6 +14,7 @@ from koopdqn.settings import Sha256
 from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.unfolding import Unfolding
 
 if TYPE_CHECKING:
     from koopdqn.robot.scene import SceneBuilder
@@ -46,6 +47,9 @@ class DemonstratedTask(Task):
     follows_start: bool = Field(
         description="whether a path keeps the offset of its start from the others', fading toward the goal, and goes on"
         " as a regression on the start says"
+    )
+    passes_itself: bool = Field(
+        default=False, description="whether the path comes over the same place again and is told leg by leg"
     )
     holdout: int = Field(ge=0, description="demonstrations kept for evaluation")
     training: Sha256 = Field(description="SHA-256 of the training demonstrations' content")
@@ -94,6 +98,11 @@ class DemonstratedTask(Task):
         return self.turning == "full"
 
     @property
+    def unfolds(self) -> bool:
+        """Whether the path passes itself."""
+        return self.passes_itself
+
+    @property
     def rule(self) -> str:
         """The orientation rule, or ``none``."""
         if self.turning == "held":
@@ -120,7 +129,9 @@ class DemonstratedTask(Task):
         """The start frame, chosen by leaving one demonstration out at a time."""
         if self.follows_start:
             return StartFrame.following(self.trajectories, self.nominal_start, self.goal)
-        return StartFrame(self.nominal_start[pose.POSITION], self.goal[pose.POSITION], follows=False)
+        unfolding = Unfolding.of(self.trajectories, self.step_m) if self.passes_itself else None
+        start, goal = self.nominal_start[pose.POSITION], self.goal[pose.POSITION]
+        return StartFrame(start, goal, follows=False, unfolding=unfolding)
 
     @cached_property
     def reference_path(self) -> ReferencePath:

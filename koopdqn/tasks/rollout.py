@@ -87,6 +87,7 @@ def roll_out(
     seen: list[set[bytes]] = [set() for _ in starts]
     moved = np.zeros((len(starts), 3)) if moved is None else moved
     runs = [_Run([start], [angles], each) for start, angles, each in zip(starts, joints, moved, strict=True)]
+    starts = np.array(starts)
     for _ in range(limit):
         active = [i for i, run in enumerate(runs) if not run.outcome]
         if not active:
@@ -94,7 +95,10 @@ def roll_out(
         poses = np.array([runs[i].poses[-1] for i in active])
         actions = controller(poses, starts[active])
         reached = reached_by(poses, actions, task)
-        _advance([runs[i] for i in active], reached, task, reachability, moves)
+        _advance([runs[i] for i in active], reached, task, reachability, moves, starts[active])
+        if task.unfolds:
+            here = np.array([runs[i].poses[-1] for i in active])
+            starts[active] = task.person_frame.onward(here, starts[active])
         if cut_circles:
             places = np.round(np.array([runs[i].poses[-1] for i in active]) / _SAME_PLACE).astype(np.int64)
             for i, row in zip(active, places, strict=True):
@@ -134,16 +138,21 @@ class _Run:
 
 
 def _advance(
-    runs: list[_Run], reached: Array, task: Task, reachability: Reachability, moves: Moves | None = None
+    runs: list[_Run],
+    reached: Array,
+    task: Task,
+    reachability: Reachability,
+    moves: Moves | None = None,
+    starts: Array | None = None,
 ) -> None:
-    """Move runs one step to the reached poses (N, 7), and set the outcome of those that end."""
+    """Move runs from ``starts`` (N, 7) one step to the reached poses (N, 7), and set the outcome of those that end."""
     joints = np.array([run.joints[-1] for run in runs])
     away = np.array([[*run.moved, 0.0, 0.0, 0.0, 0.0] for run in runs])
     before = np.array([run.poses[-1] for run in runs])
-    if moves is None:
+    if moves is None or starts is None:
         motions = reachability.move_batch(reached + away, joints)
     else:
-        starts, steps = np.array([run.poses[0] for run in runs]), np.array([len(run.poses) - 1 for run in runs])
+        steps = np.array([len(run.poses) - 1 for run in runs])
         motions = moves(reached + away, before + away, joints, starts + away, steps)
     stuck = pose.position_distance(reached, before) == 0
     if stuck.any():

@@ -10,6 +10,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.paths import mean_poses, to_count, way_lengths
 from koopdqn.pose import Array
+from koopdqn.tasks.unfolding import Unfolding
 
 # Places along the path at which the slopes are known, and the width of the kernel between them in their distance.
 _PLACES, _WIDTH = 40, 1.0
@@ -133,20 +134,27 @@ class StartFrame:
     (:class:`StartRegression`) and subtracted too. Orientations stay: Table 1 turns
     toward the goal alone, whatever a start's orientation has been.
 
+    Or the frame unfolds a path that passes itself (:class:`koopdqn.tasks.unfolding.Unfolding`): then starts are those of
+    the legs, which :meth:`onward` and :meth:`begun` tell, and paths follow no start.
+
     Attributes:
         start: (3,) the nominal start [m].
         goal: (3,) where all paths end [m].
         follows: whether paths follow their start; if not, the frame is the identity.
         regression: of what else the start changes; None where that is not known.
+        unfolding: of a path that passes itself; None where it does not.
     """
 
     start: Array
     goal: Array
     follows: bool
     regression: StartRegression | None = None
+    unfolding: Unfolding | None = None
 
     def to_frame(self, poses: Array, starts: Array) -> Array:
         """Return poses (..., 7) of paths from ``starts`` (..., 7), in the frame."""
+        if self.unfolding is not None:
+            return self.unfolding.to_frame(poses, starts)
         if not self.follows:
             return poses
         place = poses[..., pose.POSITION] - self._fading(poses, starts) * self._off(starts)
@@ -156,6 +164,8 @@ class StartFrame:
 
     def from_frame(self, local: Array, starts: Array, near: Array) -> Array:
         """Return the inverse of :meth:`to_frame` at ``local`` (..., 7), iterated from poses ``near`` (..., 7)."""
+        if self.unfolding is not None:
+            return self.unfolding.from_frame(local)
         if not self.follows:
             return local
         place, off = local[..., pose.POSITION], self._off(starts)
@@ -188,9 +198,25 @@ class StartFrame:
         nearest = np.take_along_axis(every, gap.argmin(axis=0)[None], axis=0)[0]
         return np.where(np.isfinite(gap).any(axis=0), nearest, 1.0)
 
+    def onward(self, poses: Array, starts: Array) -> Array:
+        """Return the starts (N, 7) that count from poses (N, 7) on, of paths from ``starts`` (N, 7)."""
+        return starts if self.unfolding is None else self.unfolding.onward(poses, starts)
+
+    def begun(self, poses: Array) -> Array:
+        """Return the starts (N, 7) that count at the poses (N, 7) of one path."""
+        return np.repeat(poses[:1], len(poses), axis=0) if self.unfolding is None else self.unfolding.begun(poses)
+
+    def start_of(self, local: Array, start: Array) -> Array:
+        """Return the start (7,) that counts at a pose ``local`` (7,) of the frame, on a path from ``start`` (7,)."""
+        return start if self.unfolding is None else self.unfolding.start_of(local, start)
+
+    def along(self, poses: Array) -> Array:
+        """Return the poses (N, 7) of one path in the frame."""
+        return self.to_frame(poses, poses[:1] if self.unfolding is None else self.begun(poses))
+
     def each(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return trajectories (N, 7), each in the frame by its own start."""
-        return [self.to_frame(rows, rows[:1]) for rows in trajectories]
+        return [self.along(rows) for rows in trajectories]
 
     def each_unseen(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return the trajectories (N, 7) that the frame was fitted to, each in the frame fitted to the others.
@@ -207,8 +233,11 @@ class StartFrame:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the frame as arrays."""
-        regression = {} if self.regression is None else self.regression.arrays()
-        return {"start": self.start, "goal": self.goal, "follows": np.array(self.follows), **regression}
+        return {"start": self.start, "goal": self.goal, "follows": np.array(self.follows), **self.learned()}
+
+    def learned(self) -> dict[str, np.ndarray]:
+        """Return what was learned of the demonstrations, as arrays: the regression and the unfolding."""
+        return {} if (held := self.regression or self.unfolding) is None else held.arrays()
 
     def described(self) -> dict[str, Any]:
         """Return start, goal and whether paths follow their start, as JSON values."""
@@ -216,9 +245,9 @@ class StartFrame:
 
     @classmethod
     def restore(cls, held: Mapping[str, Any]) -> "StartFrame":
-        """Return the frame with these :meth:`arrays`, or what is :meth:`described` with its regression's."""
+        """Return the frame with these :meth:`arrays`, or what is :meth:`described` with those :meth:`learned`."""
         start, goal = (np.array(held[name], dtype=float) for name in ("start", "goal"))
-        return cls(start, goal, bool(held["follows"]), StartRegression.restore(held))
+        return cls(start, goal, bool(held["follows"]), StartRegression.restore(held), Unfolding.restore(held))
 
     @classmethod
     def following(cls, trajectories: Sequence[Array], start: Array, goal: Array) -> "StartFrame":

@@ -131,6 +131,11 @@ class Task(TaskChoice):
         return False
 
     @property
+    def unfolds(self) -> bool:
+        """Whether the person's path passes itself and is unfolded in their frame."""
+        return False
+
+    @property
     def demonstrated(self) -> Sequence[Array]:
         """The demonstrations that define the task, poses (N, 7) each; none where it is defined without."""
         return ()

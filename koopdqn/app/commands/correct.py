@@ -45,6 +45,8 @@ class _Learned:
     @classmethod
     def read(cls, config: Configuration, source: Path) -> "_Learned":
         policy, about = read_policy(source / POLICY, config.task)
+        if policy.frame.unfolding is not None:
+            raise BadInputError(f"run: a path to correct must not pass itself, found that of {source} does")
         if differs_from_trained(config.robot, about["robot"]):
             raise BadInputError(f"robot: must be the arm that the run was trained with, found {config.robot.name}")
         limit, workcell = step_limit_of(source), pipeline.open_scene(config)
