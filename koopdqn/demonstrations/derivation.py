@@ -281,9 +281,15 @@ def _about_passages(task: DemonstratedTask) -> list[str]:
     if unfolding is None:
         return []
     legs = len(unfolding.cuts) + 1
-    return [
+    notes = [
         f"the path passes itself: it is learned in {legs} legs, and which one a pose is on is known from where it was"
     ]
+    for index, rows in enumerate(task.trajectories):
+        starts = unfolding.begun(rows)
+        if task.reached(rows[(starts != starts[-1]).any(axis=1)]).any():
+            notes.append(f"demonstration {index} comes through the goal on its way: episodes that do end there")
+            break
+    return notes
 
 
 def _about_turns_away(task: DemonstratedTask) -> list[str]:

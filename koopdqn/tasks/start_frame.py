@@ -134,8 +134,8 @@ class StartFrame:
     (:class:`StartRegression`) and subtracted too. Orientations stay: Table 1 turns
     toward the goal alone, whatever a start's orientation has been.
 
-    Or the frame unfolds a path that passes itself (:class:`koopdqn.tasks.unfolding.Unfolding`): then starts are those of
-    the legs, which :meth:`onward` and :meth:`begun` tell, and paths follow no start.
+    Or the frame unfolds a path that passes itself (:class:`koopdqn.tasks.unfolding.Unfolding`): then starts are those
+    of the legs, which :meth:`onward` and :meth:`begun` tell, and paths follow no start.
 
     Attributes:
         start: (3,) the nominal start [m].

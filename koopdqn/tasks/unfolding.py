@@ -16,8 +16,8 @@ from koopdqn import pose
 from koopdqn.paths import arc_lengths, mean_poses, to_count, way_lengths
 from koopdqn.pose import Array
 
-# Distance of the path's points [m].
-_SPACING_M = 0.002
+# Distance of the path's points [m], more where they would be more than so many.
+_SPACING_M, _MOST_POINTS = 0.002, 1500
 # Two passages are one place if nearer together than so many spreads of the demonstrations, and than so many steps. They
 # are two if the path between them is so many times longer, and opens so many times farther; where it does not, it goes
 # back the way it came if it is nearer to itself than so many times that distance.
@@ -59,16 +59,17 @@ class Unfolding:
         aligned = np.array([to_count(rows, count, way_lengths(rows))[:, pose.POSITION] for rows in trajectories])
         spread = float(np.sqrt(((aligned - mean[:, pose.POSITION]) ** 2).sum(axis=2).mean()))
         near = max(_SPREADS * spread, _STEPS * step)
-        arc = arc_lengths(mean[:, pose.POSITION])
-        path = to_count(mean, max(3, round(arc[-1] / _SPACING_M) + 1))
-        pairs, back = _passages(path[:, pose.POSITION], near)
+        length = float(arc_lengths(mean[:, pose.POSITION])[-1])
+        path = to_count(mean, min(max(3, round(length / _SPACING_M) + 1), _MOST_POINTS))
+        spacing = length / (len(path) - 1)
+        pairs, back = _passages(path[:, pose.POSITION], near, spacing)
         if not len(pairs):
             return None
-        overlap = max(1, round(near / _SPACING_M))
+        overlap = max(1, round(near / spacing))
         cuts = _cuts(pairs[:, 0] + overlap + 1, pairs[:, 1] - overlap - 1)
         if cuts is None:
             return None
-        rising = np.append(np.cumsum(~back[::-1])[::-1][1:], 0) * _SPACING_M
+        rising = np.append(np.cumsum(~back[::-1])[::-1][1:], 0) * spacing
         least = float((rising[pairs[:, 0]] - rising[pairs[:, 1]]).min())
         if least <= 0.0:
             return None
@@ -134,15 +135,15 @@ class Unfolding:
         if "unfolding_path" not in held:
             return None
         path, axis, lifts, cuts, overlap = (np.asarray(held[f"unfolding_{each.name}"]) for each in fields(cls))
-        sound = all(np.isfinite(each).all() for each in (path, axis, lifts)) and path.ndim == 2 and len(path) > 2
-        if (
-            not sound
-            or path.shape[1:] != (7,)
-            or lifts.shape != path.shape[:1]
-            or not ((0 <= cuts) & (cuts < len(path))).all()
-        ):
-            raise ValueError("the unfolding must have a path of at least three finite poses, and its cuts on it")
-        return cls(*(each.astype(float) for each in (path, axis, lifts)), cuts.astype(int), overlap.astype(int))
+        count = len(path) if path.ndim == 2 else 0
+        if count < 3 or path.shape[1] != 7 or lifts.shape != (count,) or axis.shape != (3,):
+            raise ValueError(f"the unfolding must have a path of three poses at least, found {path.shape}")
+        if not all(np.isfinite(each).all() for each in (path, axis, lifts)):
+            raise ValueError("the unfolding must be of finite numbers")
+        inside = cuts.ndim == 1 and len(cuts) > 0 and bool(((cuts > 0) & (cuts < count - 1)).all())
+        if not inside or (np.diff(cuts) <= 0).any() or overlap.shape != () or overlap < 1:
+            raise ValueError(f"the unfolding must be cut on its path, in order, found {cuts.tolist()}")
+        return cls(path.astype(float), axis.astype(float), lifts.astype(float), cuts.astype(int), overlap.astype(int))
 
     def _tells(self, poses: Array, least: float) -> bool:
         """Return whether the poses (N, 7) of one path are on leg after leg, and skip no loop of ``least`` [m]."""
@@ -181,30 +182,30 @@ class Unfolding:
     @cached_property
     def _lifted(self) -> Array:
         """The path's positions (P, 3) [m], lifted."""
-        return np.asarray(self.path[:, pose.POSITION] + self._lift(np.arange(len(self.path))))
+        return np.asarray(self.path[:, pose.POSITION] + self.lifts[:, None] * self.axis)
 
 
-def _passages(path: Array, near: float) -> tuple[np.ndarray, np.ndarray]:
+def _passages(path: Array, near: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs (M, 2) of places of a path (P, 3) [m] that are one place, by the second of them.
 
     Where the path goes back the way it came it encloses nothing, and does not pass itself: returned too is which places
     (P,) lie there, and one of them is told from another no better than before.
     """
-    apart = np.linalg.norm(path[:, None] - path[None], axis=2)
-    # By how far the path between two places opens, for every distance between them along it.
-    opens = [np.zeros(len(path)), np.diagonal(apart, 1)]
-    pairs, back = [np.empty((0, 2), dtype=int)], np.zeros(len(path), dtype=bool)
+    pairs, turns = [np.empty((0, 2), dtype=int)], np.zeros(len(path) + 1, dtype=int)
+    # By how far the path between two places opens that are one and two points nearer together along it.
+    last, before = pose.norm(path[1:] - path[:-1]), np.zeros(len(path))
     for gap in range(2, len(path)):
-        across, within = np.diagonal(apart, gap), opens[gap - 2][1:-1]
-        if gap * _SPACING_M > _APART * near:
+        across, within = pose.norm(path[gap:] - path[:-gap]), before[1:-1]
+        if gap * spacing > _APART * near:
             opened = within > _OPENS * near
             first = np.flatnonzero((across < near) & opened)
             pairs.append(np.stack([first, first + gap], axis=1))
-            for place in np.flatnonzero((across < _BESIDE * near) & ~opened):
-                back[place : place + gap + 1] = True
-        opens.append(np.maximum(across, within))
+            beside = np.flatnonzero((across < _BESIDE * near) & ~opened)
+            turns[beside] += 1
+            turns[beside + gap + 1] -= 1
+        last, before = np.maximum(across, within), last
     found = np.concatenate(pairs)
-    return found[np.argsort(found[:, 1], kind="stable")], back
+    return found[np.argsort(found[:, 1], kind="stable")], np.cumsum(turns[:-1]) > 0
 
 
 def _cuts(first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
@@ -232,6 +233,5 @@ def _nearest(positions: Array, path: Array) -> Array:
         share = ((positions - one) * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-18)
         share = np.clip(share, 0.0, 1.0)
         off = ((positions - one - share[:, None] * along) ** 2).sum(axis=1)
-        nearer = off < far
-        best, far = np.where(nearer, begin + share, best), np.where(nearer, off, far)
-    return best
+        best, far = np.where(off < far, begin + share, best), np.minimum(off, far)
+    return np.asarray(best)

@@ -1,0 +1,100 @@
+"""Drawn paths that pass themselves, learned with and without unfolding; the table of docs/demonstrations.md.
+
+    scripts/passing_itself.py FOLDER [SHAPE ...]
+
+Of each shape seven demonstrations are drawn, waved aside by 5 mm, of which the last is held out. A line of the table is
+printed a shape; what FOLDER holds already is not made again.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from koopdqn import pose
+from koopdqn.app import cli
+from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
+from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.paths import arc_lengths, at_arc_lengths
+from koopdqn.tasks.unfolding import Unfolding
+
+# Points that a spline passes, sideways and up, and out of the plane where there is a third; 0.2 m wide when drawn.
+SHAPES: Final[dict[str, list[tuple[float, ...]]]] = {
+    "fish": [(8, 3), (3, 0.5), (-3, -2.5), (-7, 0), (-3, 2.5), (3, -0.5), (8, -3)],
+    "figure eight": [(-4, 3), (-7, 0), (-4, -3), (0, 0), (4, 3), (7, 0), (4, -3), (0.5, -0.5), (-3, 2)],
+    "two loops": [
+        *[(-12, 0), (-6, 0), (-2, 3), (-5, 6), (-8, 3), (-4, 0)],
+        *[(2, 0), (8, 0), (11, 3), (8, 6), (5, 3), (9, 0), (14, 0)],
+    ],
+    "pretzel": [(-5, 7), (-1, 1), (4, -2), (7, 2), (4, 5), (0, 3), (-4, 5), (-7, 2), (-4, -2), (1, 1), (5, 7)],
+    "loop in space": [(-9, 0, 0), (-3, 0, 1), (2, 2, 2), (2, 6, 4), (-2, 6, 5), (-2, 2, 6), (3, 0, 7), (9, 0, 8)],
+    "loop with a turn": [(-9, 0), (-3, 0), (2, 2), (3, 5), (0, 7), (-3, 5), (-2, 2), (3, 0), (9, 0)],
+    "straight": [(-8, 0), (-3, 1), (3, 1), (8, 0)],
+}
+_WIDE_M, _WAVED_M, _COUNT, _POINTS, _SECONDS = 0.2, 0.005, 7, 300, 6.0
+_DOWN: Final = np.array([0.70710678, 0.0, 0.70710678, 0.0])
+_TURNED_RAD: Final = {"loop with a turn": np.radians(60)}
+
+
+def drawn(name: str, rng: np.random.Generator) -> Demonstrations:
+    """Return demonstrations of a shape."""
+    points = np.array([(*each, 0.0)[:3] for each in SHAPES[name]])
+    arc = np.append(0.0, np.cumsum(np.sqrt(pose.norm(np.diff(points, axis=0)))))
+    fine = CubicSpline(arc, points)(np.linspace(0.0, arc[-1], 2000))
+    way = arc_lengths(fine)
+    line = at_arc_lengths(fine, way, np.linspace(0.0, way[-1], _POINTS))
+    line = (line - line[-1]) * _WIDE_M / np.ptp(line, axis=0).max()
+    # Sideways, up and out of the plane are y, z and x of the arm.
+    line = np.array([0.45, 0.0, 0.35]) + line[:, [2, 0, 1]]
+    turn = _TURNED_RAD.get(name, 0.0) * np.linspace(1.0, 0.0, _POINTS)
+    quaternion = pose.multiply(_DOWN, pose.from_rotation_vector(turn[:, None] * [0.0, 0.0, 1.0]))
+    items = []
+    for _ in range(_COUNT):
+        wave = gaussian_filter1d(rng.normal(size=(3 * _POINTS, 3)), 60, axis=0)[_POINTS : 2 * _POINTS]
+        wave *= _WAVED_M / wave.std() * np.minimum(1.0, np.linspace(3.0, 0.0, _POINTS))[:, None]
+        items.append(Demonstration(np.linspace(0.0, _SECONDS, _POINTS), pose.make(line + wave, quaternion)))
+    return Demonstrations("drawn", "UR5", items)
+
+
+def learned(demos: Path, folder: Path, seed: int) -> dict[str, Any]:
+    """Return ``train.json`` and ``eval.json`` of a training on demonstrations, made in a folder if it is not there."""
+    run, measured = folder / "train", folder / "eval"
+    if not (measured / "eval.json").is_file():
+        cli.main(["train", "task=demonstrated", f"demos={demos}", "task.holdout=1", f"seed={seed}", f"out={run}"])
+        cli.main(["eval", f"run={run}", f"out={measured}", "eval.dynamics=false"])
+    held = {name: json.loads(path.read_text()) for name, path in _files(folder).items()}
+    return {**held["eval"], "train": held["train"], "fit": held["fit"]}
+
+
+def _files(folder: Path) -> dict[str, Path]:
+    train = folder / "train"
+    return {"train": train / "train.json", "fit": train / "fit.json", "eval": folder / "eval" / "eval.json"}
+
+
+def main(folder: Path, names: list[str]) -> None:
+    """Measure shapes and print a line of the table each."""
+    found = Unfolding.of
+    for number, name in enumerate(SHAPES):
+        demos = folder / f"{name.replace(' ', '-')}.hdf5"
+        if names and name not in names:
+            continue
+        if not demos.is_file():
+            folder.mkdir(parents=True, exist_ok=True)
+            write_hdf5(demos, drawn(name, np.random.default_rng([2000, number])))
+        cells = [name]
+        for unfolded in (True, False):
+            # Without it is what a path that does not pass itself gets.
+            Unfolding.of = found if unfolded else classmethod(lambda *_: None)  # type: ignore[assignment, method-assign]
+            report = learned(demos, folder / demos.stem / ("unfolded" if unfolded else "plain"), 2000 + number)
+            away = report["holdout"]["hausdorff_mm"]
+            cells += [f"{100 * report['success_rate']:.0f}", f"{away['policy'][0]:.1f}"]
+            cells += [f"{report['train']['seconds']:.0f}"] if unfolded else [f"{away['nearest_demonstration'][0]:.1f}"]
+        print("| " + " | ".join(cells) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])

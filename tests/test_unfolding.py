@@ -1,0 +1,249 @@
+"""Paths that pass themselves: unfolded, every passage is a place of its own, and nothing else changes."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_shelf import PARTS
+from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from koopdqn import pose
+from koopdqn.app import cli
+from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.errors import BadInputError
+from koopdqn.evaluation.baselines import Greedy
+from koopdqn.intent.detour import detour
+from koopdqn.intent.fit import fit
+from koopdqn.intent.model import IntentModel
+from koopdqn.paths import arc_lengths, hausdorff, to_step
+from koopdqn.pose import Array
+from koopdqn.tasks.actions import nearest_actions
+from koopdqn.tasks.demonstrated import DemonstratedTask
+from koopdqn.tasks.obstacles import Obstacle
+from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
+from koopdqn.tasks.start_frame import StartFrame
+from koopdqn.tasks.task import demonstrator_next_poses
+from koopdqn.tasks.unfolding import Unfolding
+from koopdqn.tasks.workcell import open_workcell
+
+STEP = 0.0021
+
+
+def eight(wave: float = 0.0, phase: float = 0.0) -> Array:
+    """Return poses (400, 7) along a figure eight of 0.2 m, its crossing passed twice, waved aside by ``wave`` [m]."""
+    share = np.linspace(0.13, 1.06, 400)
+    across, up = 0.1 * np.sin(2 * np.pi * share), 0.075 * np.sin(4 * np.pi * share)
+    left = np.minimum(1.0, 3.0 * (1.06 - share))
+    across += wave * left * np.sin(9 * share + phase)
+    up += wave * left * np.cos(7 * share + phase)
+    across, up = across - across[-1], up - up[-1]
+    return pose.make(np.stack([np.full(400, 0.45), across, 0.35 + up], axis=1), HORIZONTAL)
+
+
+def eights() -> list[Array]:
+    return to_step([eight(0.004, phase) for phase in range(5)], STEP, 0.1)
+
+
+@cache
+def unfolding() -> Unfolding:
+    found = Unfolding.of(eights(), STEP)
+    assert found is not None
+    return found
+
+
+@cache
+def task() -> DemonstratedTask:
+    return derivation(holdout=0).derive(shown(*map(recorded, eights()))).task
+
+
+def unfolding_of_task() -> Unfolding:
+    found = task().person_frame.unfolding
+    assert found is not None
+    return found
+
+
+@cache
+def intent() -> IntentModel:
+    demonstrations = derivation(holdout=0).derive(shown(*map(recorded, eights()))).training
+    return fit(demonstrations, task(), PARTS.intent, PARTS.trust, PARTS.reward).model
+
+
+def there_and_back() -> Array:
+    forth = np.linspace(0.0, 0.2, 200)
+    place = np.concatenate([forth, forth[::-1][1:120]])
+    return pose.make(np.stack([np.full_like(place, 0.45), place, np.full_like(place, 0.35)], axis=1), HORIZONTAL)
+
+
+def test_a_path_that_passes_itself_is_cut_once_between_each_two_passages() -> None:
+    found = unfolding()
+    assert len(found.cuts) == 1
+    crossing = np.array([0.45, *(eight()[:, 1:3].mean(axis=0))])
+    assert pose.norm(found.path[found.cuts[0], :3] - crossing) > 0.05
+
+
+@pytest.mark.parametrize(
+    "trajectories", [[arc(0.01), arc(-0.01)], [there_and_back()], [arc()]], ids=["an arc", "there and back", "one"]
+)
+def test_a_path_that_does_not_pass_itself_is_left_as_it_is(trajectories: list[Array]) -> None:
+    assert Unfolding.of(to_step(trajectories, STEP, 0.1), STEP) is None
+
+
+def test_demonstrations_that_do_not_tell_their_passages_are_left_as_they_are() -> None:
+    half = eight()[:150]
+    assert Unfolding.of(to_step([eight(), eight(), half], STEP, 0.1), STEP) is None
+
+
+def test_unfolded_the_path_does_not_pass_itself() -> None:
+    flat, lifted = eights()[0], unfolding().to_frame(eights()[0], unfolding().begun(eights()[0]))
+    arcs = arc_lengths(flat[:, :3])
+    far = np.abs(arcs[:, None] - arcs) > 0.05
+
+    def nearest(poses: Array) -> float:
+        apart = np.linalg.norm(poses[:, None, :3] - poses[None, :, :3], axis=2)
+        return float(apart[far].min())
+
+    assert nearest(flat) < 0.002
+    assert nearest(lifted) > 0.03
+
+
+def test_the_goal_and_orientations_stay() -> None:
+    rows = eights()[0]
+    lifted = unfolding().to_frame(rows, unfolding().begun(rows))
+    assert np.allclose(lifted[-1], rows[-1], atol=1e-9)
+    assert (lifted[:, 3:] == rows[:, 3:]).all()
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 399), st.floats(-0.008, 0.008), st.floats(-0.008, 0.008), st.floats(-0.008, 0.008))
+def test_folding_back_is_the_inverse_beside_the_path_too(row: int, x: float, y: float, z: float) -> None:
+    path = eight()
+    starts = unfolding().begun(path)
+    beside = path.copy()
+    beside[:, :3] += [x, y, z]
+    back = unfolding().from_frame(unfolding().to_frame(beside, starts))
+    assert np.allclose(back[row], beside[row], atol=1e-6)
+
+
+def test_legs_go_on_one_step_at_a_time_as_along_a_whole_path() -> None:
+    for rows in eights():
+        starts, told = rows[:1], []
+        for each in rows:
+            starts = unfolding().onward(each[None], starts)
+            told.append(starts[0])
+        assert (np.array(told) == unfolding().begun(rows)).all()
+        assert len(np.unique(told, axis=0)) == 2
+
+
+def test_the_start_that_counts_is_known_from_where_a_lifted_pose_lies() -> None:
+    rows = eights()[1]
+    begun = unfolding().begun(rows)
+    lifted = unfolding().to_frame(rows, begun)
+    found = np.array([unfolding().start_of(each, rows[0]) for each in lifted])
+    assert (found == begun).mean() > 0.99
+
+
+def test_shapes_of_several_actions_a_pose_are_kept() -> None:
+    rows = eights()[0][:30].reshape(6, 5, 7)
+    lifted = unfolding().to_frame(rows, np.repeat(rows[:1, :1], 6, axis=0))
+    assert lifted.shape == (6, 5, 7)
+    assert np.allclose(unfolding().from_frame(lifted), rows, atol=1e-6)
+
+
+def test_a_frame_keeps_its_unfolding() -> None:
+    frame = StartFrame(eight()[0, :3], eight()[-1, :3], follows=False, unfolding=unfolding())
+    for held in (frame.arrays(), {**frame.described(), **frame.learned()}):
+        again = StartFrame.restore(held)
+        assert again.unfolding is not None
+        for name, values in unfolding().arrays().items():
+            assert (again.unfolding.arrays()[name] == values).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("path", np.zeros((2, 7))),
+        ("path", np.full((360, 7), np.nan)),
+        ("lifts", np.zeros(3)),
+        ("axis", np.zeros(2)),
+        ("cuts", np.array([10**6])),
+        ("cuts", np.array([], dtype=int)),
+        ("cuts", np.array([50, 40])),
+        ("overlap", np.array(0)),
+    ],
+)
+def test_a_damaged_unfolding_is_refused(name: str, values: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="the unfolding must"):
+        Unfolding.restore({**unfolding().arrays(), f"unfolding_{name}": values})
+
+
+def test_a_task_made_from_demonstrations_says_that_its_path_passes_itself() -> None:
+    made = derivation(holdout=0).derive(shown(*map(recorded, eights())))
+    assert made.task.passes_itself
+    assert any("learned in 2 legs" in note for note in made.notes)
+    plain = derivation(holdout=0).derive(shown(recorded(arc(0.01)), recorded(arc(-0.01))))
+    assert not plain.task.passes_itself
+    assert not any("passes itself" in note for note in plain.notes)
+
+
+def all_the_way(controller: Controller) -> None:
+    """Assert that a controller passes all of the path, its crossing twice."""
+    cell, start = open_workcell(task(), PARTS.arm), task().nominal_start
+    joints = cell.reachability.enter(start).joints
+    assert joints is not None
+    (episode,) = roll_out(controller, task(), cell.reachability, start[None], joints[None], 800)
+    assert episode.outcome == SUCCESS
+    shown_path = task().trajectories[0]
+    assert hausdorff(episode.poses[:, :3], shown_path[:, :3]) < 0.03
+    assert arc_lengths(episode.poses[:, :3])[-1] > 0.9 * arc_lengths(shown_path[:, :3])[-1]
+
+
+def test_the_demonstrator_goes_all_the_way() -> None:
+    all_the_way(lambda poses, starts: nearest_actions(poses, demonstrator_next_poses(task(), poses, starts), task()))
+
+
+def test_the_intent_goes_all_the_way_and_its_own_path_too() -> None:
+    model = intent()
+    all_the_way(Greedy(model, task()))
+    path = model.intended_paths(task().nominal_start[None], 800, task().step_m)[:, 0]
+    assert hausdorff(path[:, :3], task().trajectories[0][:, :3]) < 0.02
+
+
+def test_the_same_place_is_predicted_by_the_leg() -> None:
+    place = eight().copy()[:, :3]
+    arcs = arc_lengths(place)
+    apart = np.linalg.norm(place[:, None] - place, axis=2) + 10.0 * (np.abs(arcs[:, None] - arcs) < 0.05)
+    first, last = np.sort(np.unravel_index(apart.argmin(), apart.shape))
+    pose_there = eight()[first][None]
+    cut = unfolding_of_task().path[unfolding_of_task().cuts]
+    ways = [intent().intended(pose_there, start)[0, :3] - pose_there[0, :3] for start in (eight()[:1], cut)]
+    shown_ways = [place[row + 3] - place[row] for row in (first, last)]
+    for way, shown_way in zip(ways, shown_ways, strict=True):
+        assert way @ shown_way > 0.9 * pose.norm(way) * pose.norm(shown_way)
+
+
+def test_obstacles_are_refused_on_a_path_that_passes_itself() -> None:
+    held = {"name": "thing", "shape": "sphere", "center_m": (0.45, 0.0, 0.6), "radius_m": 0.02}
+    among = task().model_copy(update={"obstacles": (Obstacle.model_validate(held),)})
+    with pytest.raises(BadInputError, match="must not pass itself, found one that does"):
+        detour(open_workcell(among, PARTS.arm), intent(), np.array([task().nominal_start]))
+
+
+@pytest.mark.slow
+def test_a_path_that_passes_itself_is_learned_measured_and_not_corrected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demos, run, measured = tmp_path / "demos.hdf5", tmp_path / "run", tmp_path / "eval"
+    write_hdf5(demos, shown(*(recorded(eight(0.004, phase)) for phase in range(6))))
+    given = [f"demos={demos}", "task=demonstrated", f"out={run}", "seed=3"]
+    assert cli.main(["train", *given]) == 0
+    assert cli.main(["eval", f"run={run}", f"out={measured}"]) == 0
+    report = json.loads((measured / "eval.json").read_text())
+    assert report["success_rate"] >= 0.95
+    assert report["holdout"]["hausdorff_mm"]["policy"][0] < 20.0
+    capsys.readouterr()
+    assert cli.main(["correct", f"run={run}", "waypoints=[[0.45,0.0,0.4]]", f"out={tmp_path / 'corrected'}"]) == 2
+    assert "must not pass itself" in capsys.readouterr().err
