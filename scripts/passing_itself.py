@@ -7,6 +7,7 @@ printed a shape; what FOLDER holds already is not made again.
 """
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +26,7 @@ from koopdqn.tasks.unfolding import Unfolding
 # Points that a spline passes, sideways and up, and out of the plane where there is a third; 0.2 m wide when drawn.
 SHAPES: Final[dict[str, list[tuple[float, ...]]]] = {
     "fish": [(8, 3), (3, 0.5), (-3, -2.5), (-7, 0), (-3, 2.5), (3, -0.5), (8, -3)],
-    "figure eight": [(-4, 3), (-7, 0), (-4, -3), (0, 0), (4, 3), (7, 0), (4, -3), (0.5, -0.5), (-3, 2)],
+    "figure eight": [(-4, 3), (-7, 0), (-4, -3), (0, 0), (4, 3), (7, 0), (4, -3), (0, 0), (-2, 1.2)],
     "two loops": [
         *[(-12, 0), (-6, 0), (-2, 3), (-5, 6), (-8, 3), (-4, 0)],
         *[(2, 0), (8, 0), (11, 3), (8, 6), (5, 3), (9, 0), (14, 0)],
@@ -37,6 +38,7 @@ SHAPES: Final[dict[str, list[tuple[float, ...]]]] = {
 }
 _WIDE_M, _WAVED_M, _COUNT, _POINTS, _SECONDS = 0.2, 0.005, 7, 300, 6.0
 _DOWN: Final = np.array([0.70710678, 0.0, 0.70710678, 0.0])
+_WITH, _WITHOUT = "--unfolded", "--plain"
 _TURNED_RAD: Final = {"loop with a turn": np.radians(60)}
 
 
@@ -60,24 +62,23 @@ def drawn(name: str, rng: np.random.Generator) -> Demonstrations:
     return Demonstrations("drawn", "UR5", items)
 
 
-def learned(demos: Path, folder: Path, seed: int) -> dict[str, Any]:
-    """Return ``train.json`` and ``eval.json`` of a training on demonstrations, made in a folder if it is not there."""
+def learned(demos: Path, folder: Path, seed: int, *, unfolded: bool) -> dict[str, Any]:
+    """Return ``eval.json`` of a training on demonstrations, with its ``train.json``, made if it is not there."""
     run, measured = folder / "train", folder / "eval"
     if not (measured / "eval.json").is_file():
-        cli.main(["train", "task=demonstrated", f"demos={demos}", "task.holdout=1", f"seed={seed}", f"out={run}"])
-        cli.main(["eval", f"run={run}", f"out={measured}", "eval.dynamics=false"])
-    held = {name: json.loads(path.read_text()) for name, path in _files(folder).items()}
-    return {**held["eval"], "train": held["train"], "fit": held["fit"]}
+        given = ["task=demonstrated", f"demos={demos}", "task.holdout=1", f"seed={seed}"]
+        _command(["train", *given, f"out={run}"], unfolded=unfolded)
+        _command(["eval", f"run={run}", f"out={measured}", "eval.dynamics=false"], unfolded=unfolded)
+    report: dict[str, Any] = json.loads((measured / "eval.json").read_text())
+    return {**report, "train": json.loads((run / "train.json").read_text())}
 
 
-def _files(folder: Path) -> dict[str, Path]:
-    train = folder / "train"
-    return {"train": train / "train.json", "fit": train / "fit.json", "eval": folder / "eval" / "eval.json"}
+def _command(words: list[str], *, unfolded: bool) -> None:
+    subprocess.run([sys.executable, __file__, _WITH if unfolded else _WITHOUT, *words], stdout=subprocess.DEVNULL)
 
 
 def main(folder: Path, names: list[str]) -> None:
     """Measure shapes and print a line of the table each."""
-    found = Unfolding.of
     for number, name in enumerate(SHAPES):
         demos = folder / f"{name.replace(' ', '-')}.hdf5"
         if names and name not in names:
@@ -87,9 +88,8 @@ def main(folder: Path, names: list[str]) -> None:
             write_hdf5(demos, drawn(name, np.random.default_rng([2000, number])))
         cells = [name]
         for unfolded in (True, False):
-            # Without it is what a path that does not pass itself gets.
-            Unfolding.of = found if unfolded else classmethod(lambda *_: None)  # type: ignore[assignment, method-assign]
-            report = learned(demos, folder / demos.stem / ("unfolded" if unfolded else "plain"), 2000 + number)
+            kept = folder / demos.stem / ("unfolded" if unfolded else "plain")
+            report = learned(demos, kept, 2000 + number, unfolded=unfolded)
             away = report["holdout"]["hausdorff_mm"]
             cells += [f"{100 * report['success_rate']:.0f}", f"{away['policy'][0]:.1f}"]
             cells += [f"{report['train']['seconds']:.0f}"] if unfolded else [f"{away['nearest_demonstration'][0]:.1f}"]
@@ -97,4 +97,9 @@ def main(folder: Path, names: list[str]) -> None:
 
 
 if __name__ == "__main__":
+    if sys.argv[1] == _WITHOUT:
+        # What a path that does not pass itself gets.
+        Unfolding.of = classmethod(lambda *_: None)  # type: ignore[assignment, method-assign]
+    if sys.argv[1] in (_WITH, _WITHOUT):
+        sys.exit(cli.main(sys.argv[2:]))
     main(Path(sys.argv[1]), sys.argv[2:])
