@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from koopdqn.oracles.journal import AnswerLine
 from koopdqn.rl import schema as training_schema
 from koopdqn.rl.schema import TrainReport
 from koopdqn.settings import ReportModel
+from koopdqn.tasks.unfolding import Unfolding
 from koopdqn.view import schema as view_schema
 
 FILES = Path(__file__).resolve().parents[1] / "docs" / "files.md"
@@ -179,10 +181,10 @@ def test_the_intents_arrays_are_those_documented(run: Path) -> None:
     tube = ("trust_middle", "trust_radius", "trust_spread")
     apart = ("center", "scale", "rotation_matrix", "rotation_frame")
     following = ("frame_path", "frame_shifts", "frame_centre", "frame_reach")
+    unfolded = (f"frame_unfolding_{each.name}" for each in fields(Unfolding))
+    absent = (*tube, *apart, *following, *unfolded, "in_full")
     with np.load(run / "intent.npz", allow_pickle=False) as file:
-        check_arrays(
-            "### intent.npz", {name: file[name] for name in file.files}, absent=(*tube, *apart, *following, "in_full")
-        )
+        check_arrays("### intent.npz", {name: file[name] for name in file.files}, absent=absent)
 
 
 def test_the_policys_arrays_are_those_documented(run: Path) -> None:

@@ -162,6 +162,11 @@ def test_a_frame_keeps_its_unfolding() -> None:
             assert (again.unfolding.arrays()[name] == values).all()
 
 
+def test_its_arrays_are_those_documented() -> None:
+    documented = (Path(__file__).parent.parent / "docs" / "files.md").read_text(encoding="utf-8")
+    assert all(f"| `frame_{name}` |" in documented for name in unfolding().arrays())
+
+
 @pytest.mark.parametrize(
     ("name", "values"),
     [
