@@ -10,6 +10,8 @@ from helpers_shelf import PARTS
 from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from parts import load_parts
+from scipy.spatial import KDTree
 
 from koopdqn import pose
 from koopdqn.app import cli
@@ -252,3 +254,16 @@ def test_a_path_that_passes_itself_is_learned_measured_and_not_corrected(
     capsys.readouterr()
     assert cli.main(["correct", f"run={run}", "waypoints=[[0.45,0.0,0.4]]", f"out={tmp_path / 'corrected'}"]) == 2
     assert "must not pass itself" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("trust", ["tube", "paper"])
+def test_pictures_show_the_trust_domain_where_the_path_lies(trust: str) -> None:
+    demonstrations = derivation(holdout=0).derive(shown(*map(recorded, eights()))).training
+    fitted = fit(demonstrations, task(), PARTS.intent, load_parts(f"trust={trust}").trust, PARTS.reward)
+    frame = fitted.model.start_frame
+    drawn = fitted.trust.drawn(frame).shape()["middle" if trust == "tube" else "mean"][:, :3]
+    path = np.concatenate(task().trajectories)[:, :3]
+    assert KDTree(path).query(drawn)[0].max() < 0.01
+    assert KDTree(path).query(fitted.trust.shape()["middle" if trust == "tube" else "mean"][:, :3])[0].max() > 0.05
+    with_ball = fitted.trust.extended(frame.each(task().trajectories)[0][100:101], np.array([0.02]))
+    assert np.allclose(with_ball.drawn(frame).balls.poses[0], task().trajectories[0][100], atol=1e-6)

@@ -1,15 +1,17 @@
 """The paper's trust domain: k standard deviations around the mean of every step (§3.4)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field
 
+from koopdqn import pose
 from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrate, components_of, no_balls
 from koopdqn.paths import to_count, way_lengths
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import StartFrame
 
 
 class BoxSettings(TrustSettings):
@@ -81,6 +83,12 @@ class Box(TrustDomain):
     def shape(self) -> dict[str, np.ndarray]:
         """Return frame, mean and deviation."""
         return {"frame": self.frame, "mean": self.mean, "deviation": self.deviation}
+
+    def drawn(self, frame: StartFrame) -> Self:
+        """Return the boxes for pictures, with their places where they lie."""
+        mean = self.mean.copy()
+        mean[:, pose.POSITION] = frame.folded(mean[:, pose.POSITION])
+        return replace(super().drawn(frame), mean=mean)
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether a box (with matching by step, that of their step) contains poses (N, 7), and its doubt."""

@@ -12,6 +12,7 @@ from pydantic import Field, Strict
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import angles_in
 
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -130,6 +131,14 @@ class TrustDomain(ABC):
         if len(self.balls.radii):
             held |= {"ball_poses": self.balls.poses, "ball_radii": self.balls.radii}
         return held
+
+    def drawn(self, frame: StartFrame) -> Self:
+        """Return the domain for pictures, with its places where they lie: a frame may have unfolded a path."""
+        if frame.unfolding is None or not len(self.balls.radii):
+            return self
+        poses = self.balls.poses.copy()
+        poses[:, pose.POSITION] = frame.folded(poses[:, pose.POSITION])
+        return replace(self, balls=replace(self.balls, poses=poses))
 
     @abstractmethod
     def shape(self) -> dict[str, np.ndarray]:

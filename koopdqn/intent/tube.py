@@ -1,8 +1,9 @@
 """The tube: a trust domain whose radius is calibrated by leaving one demonstration out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from pydantic import Field
@@ -11,6 +12,7 @@ from koopdqn import pose
 from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrate, no_balls, squared_distances
 from koopdqn.paths import mean_poses, way_lengths
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import StartFrame
 
 # Demonstrations needed to estimate the spread along the path with one left out.
 _LEAST_FOR_SPREAD = 3
@@ -172,6 +174,12 @@ class Tube(TrustDomain):
     def shape(self) -> dict[str, np.ndarray]:
         """Return middle, radius and spread."""
         return {"middle": self.middle, "radius": self.radius, "spread": self.spread}
+
+    def drawn(self, frame: StartFrame) -> Self:
+        """Return the tube for pictures, with its places where they lie."""
+        middle = self.middle.copy()
+        middle[:, pose.POSITION] = frame.folded(middle[:, pose.POSITION])
+        return replace(super().drawn(frame), middle=middle)
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the tube contains poses (N, 7), and the nearest place's doubt; steps do not matter."""

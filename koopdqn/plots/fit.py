@@ -56,12 +56,15 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
                 upper.set_xlabel("")
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
-        rollouts = _roll_outs(fitted, trajectories, task)
-        planes = style.two_planes([trajectory[:, pose.POSITION] for trajectory in trajectories])
+        frame = fitted.model.start_frame
+        rollouts = [frame.folded(path) for path in _roll_outs(fitted, trajectories, task)]
+        shown = [frame.folded(trajectory[:, pose.POSITION]) for trajectory in trajectories]
+        trust = fitted.trust.drawn(frame)
+        planes = style.two_planes(shown)
         for place, plane in zip((grid[row, :2], grid[row, 2:4]), planes, strict=True):
             axes = figure.add_subplot(place)
-            corners = _tube(axes, fitted.trust, plane)
-            _paths(axes, plane, trajectories, rollouts, corners, task)
+            corners = _tube(axes, trust, plane)
+            _paths(axes, plane, shown, rollouts, corners, task)
             axes.set_title(f"Rolled out from each start, from {style.VIEWS[plane]}")
             if plane == planes[0]:
                 figure.legend(handles=_path_handles(axes, fitted.trust), loc="outside lower center", ncols=6)
@@ -186,9 +189,8 @@ def _named(trust: TrustDomain) -> str:
 
 
 def _paths(
-    axes: Axes, plane: str, trajectories: list[Array], rollouts: list[Array], corners: Array, task: Task
+    axes: Axes, plane: str, demonstrated: list[Array], rollouts: list[Array], corners: Array, task: Task
 ) -> None:
-    demonstrated = [trajectory[:, pose.POSITION] for trajectory in trajectories]
     for path in demonstrated:
         axes.plot(*style.project(path, plane), color=style.DEMONSTRATED, linewidth=1.2, zorder=2)
     for path in rollouts:

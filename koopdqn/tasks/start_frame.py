@@ -214,6 +214,12 @@ class StartFrame:
         """Return the poses (N, 7) of one path in the frame."""
         return self.to_frame(poses, poses[:1] if self.unfolding is None else self.begun(poses))
 
+    def folded(self, positions: Array) -> Array:
+        """Return positions (N, 3) [m] of the frame for pictures: where they lie, told as from the nominal start."""
+        if self.unfolding is None:
+            return positions
+        return self.unfolding.from_frame(pose.make(positions, pose.IDENTITY[pose.QUATERNION]))[:, pose.POSITION]
+
     def each(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return trajectories (N, 7), each in the frame by its own start."""
         return [self.along(rows) for rows in trajectories]

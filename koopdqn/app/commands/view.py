@@ -79,7 +79,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
         cell.scene,
         [*learned, *shown],
         [item.poses[:, POSITION] for item in run.demonstrations.items],
-        feedback.reward.trust,
+        feedback.reward.trust.drawn(feedback.reward.model.start_frame),
         config.task.goal,
     )
 
