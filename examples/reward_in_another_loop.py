@@ -39,7 +39,7 @@ if __name__ == "__main__":
             table[cell_of(here)][action] += RATE * (given + ahead - table[cell_of(here)][action])
             right += given >= 0
             if given >= 0:
-                here = there
+                here, start = there, config.task.onward(there[None], start[None])[0]
             if evaluation.at_goal[0, action] and given >= 0:
                 break
         if episode % 10 == 9:

@@ -190,7 +190,7 @@ def test_a_damaged_unfolding_is_refused(name: str, values: np.ndarray) -> None:
 def test_a_task_made_from_demonstrations_says_that_its_path_passes_itself() -> None:
     made = derivation(holdout=0).derive(shown(*map(recorded, eights())))
     assert made.task.passes_itself
-    assert any("learned in 2 legs" in note for note in made.notes)
+    assert any("it has 2 legs" in note for note in made.notes)
     plain = derivation(holdout=0).derive(shown(recorded(arc(0.01)), recorded(arc(-0.01))))
     assert not plain.task.passes_itself
     assert not any("passes itself" in note for note in plain.notes)
@@ -232,6 +232,21 @@ def test_the_same_place_is_predicted_by_the_leg() -> None:
         assert way @ shown_way > 0.9 * pose.norm(way) * pose.norm(shown_way)
 
 
+def test_legs_are_those_of_the_task_whatever_the_intent() -> None:
+    rows = task().trajectories[1]
+    assert (task().begun(rows) == unfolding_of_task().begun(rows)).all()
+    assert (task().onward(rows[-1:], rows[:1]) == unfolding_of_task().onward(rows[-1:], rows[:1])).all()
+    assert len(task().legs(rows[0])) == 2
+    plain = derivation(holdout=0).derive(shown(recorded(arc(0.01)), recorded(arc(-0.01)))).task
+    assert (plain.begun(arc()) == arc()[0]).all()
+    assert (plain.legs(arc()[0]) == arc()[:1]).all()
+    # Whoever shows it takes the way of the leg, at every pose of a demonstration.
+    wished = demonstrator_next_poses(task(), rows[:-8], task().begun(rows)[:-8])
+    ways, shown_ways = wished[:, :3] - rows[:-8, :3], rows[3:-5, :3] - rows[:-8, :3]
+    cosine = (ways * shown_ways).sum(axis=1) / pose.norm(ways) / pose.norm(shown_ways)
+    assert np.mean(cosine > 0.7) > 0.95
+
+
 def test_obstacles_are_refused_on_a_path_that_passes_itself() -> None:
     held = {"name": "thing", "shape": "sphere", "center_m": (0.45, 0.0, 0.6), "radius_m": 0.02}
     among = task().model_copy(update={"obstacles": (Obstacle.model_validate(held),)})
@@ -251,6 +266,12 @@ def test_a_path_that_passes_itself_is_learned_measured_and_not_corrected(
     report = json.loads((measured / "eval.json").read_text())
     assert report["success_rate"] >= 0.95
     assert report["holdout"]["hausdorff_mm"]["policy"][0] < 20.0
+    rows, explained = eight(0.004, 0), tmp_path / "explained"
+    given = ",".join(f"{value:.6f}" for value in rows[250])
+    assert cli.main(["explain", f"run={run}", f"explain.pose=[{given}]", f"out={explained}"]) == 0
+    actions = json.loads((explained / "explain.json").read_text())["actions"]
+    best = max(actions, key=lambda action: action["reward"])
+    assert (np.array(best["reached"][:3]) - rows[250, :3]) @ (rows[256, :3] - rows[250, :3]) > 0.0
     capsys.readouterr()
     assert cli.main(["correct", f"run={run}", "waypoints=[[0.45,0.0,0.4]]", f"out={tmp_path / 'corrected'}"]) == 2
     assert "must not pass itself" in capsys.readouterr().err

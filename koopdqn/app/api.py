@@ -139,6 +139,7 @@ def intent_reward(config: Configuration, fitted: Fitted | StoredIntent) -> Inten
 
     Its ``evaluate_actions`` takes poses (N, 7), x y z [m] and a unit quaternion w first, their steps (N,) and the
     starts (N, 7) of their episodes, and gives rewards (N, A) of all A actions: ten, or more where they are continuous.
+    Where a path may pass itself starts change on the way: ``config.task.onward`` gives those that count.
 
     Args:
         config: of the task, the reward and the agent, whose actions are rewarded.

@@ -282,7 +282,8 @@ def _about_passages(task: DemonstratedTask) -> list[str]:
         return []
     legs = len(unfolding.cuts) + 1
     notes = [
-        f"the path passes itself: it is learned in {legs} legs, and which one a pose is on is known from where it was"
+        f"the path passes itself: it has {legs} legs, intent=pose learns all of them, and which one a pose is on is"
+        " known from where it was"
     ]
     for index, rows in enumerate(task.trajectories):
         starts = unfolding.begun(rows)

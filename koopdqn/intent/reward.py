@@ -58,7 +58,7 @@ class ActionEvaluation:
 
     Attributes:
         poses: (N, 7) before the actions.
-        starts: (N, 7) where their episodes began.
+        starts: (N, 7) where their episodes began, or their legs.
         steps: (N,) steps made before in their episodes.
         reached: (N, 10, 7) poses the actions reach.
         local: (N, 7) the poses in the model's start frame.

@@ -32,7 +32,7 @@ class AnswerLine(ReportModel):
     step: NonNegativeInt = Field(description="step within it, from 0")
     pose: PoseList = Field(description="(7,) before the action [m, 1]")
     start: PoseList | None = Field(
-        None, description="(7,) where the episode began; null in journals that do not say [m, 1]"
+        None, description="(7,) where the episode began, or its leg; null in journals that do not say [m, 1]"
     )
     action: Action = Field(description="index of the action in Table 1, from 0; 10 is the intent model's suggestion")
     reached: PoseList = Field(description="(7,) after the action [m, 1]")

@@ -27,7 +27,7 @@ class OpenAttempt:
         episode: number of the episode.
         step: steps made before in the episode.
         pose: (7,) before the action.
-        start: (7,) where the episode began.
+        start: (7,) where the episode began, or its leg.
         action: its index.
     """
 

@@ -26,7 +26,8 @@ class Episodes:
 
     Attributes:
         poses: (N, 7) flange poses.
-        starts: (N, 7) of the episodes, as :class:`EpisodeStart` gives them.
+        starts: (N, 7) of the episodes, as :class:`EpisodeStart` gives them, or of their legs
+            (:meth:`koopdqn.tasks.task.Task.onward`).
         joints: (N, n) joint angles [rad].
         steps: (N,) steps made.
         limits: (N,) steps after which each is truncated.
@@ -244,8 +245,7 @@ class VectorEnv:
     def _move(self, index: int, pose: Array, joints: Array) -> None:
         episodes, one = self.episodes, slice(index, index + 1)
         episodes.move(index, pose, joints)
-        frame = self.feedback.reward.model.start_frame
-        episodes.starts[one] = frame.onward(episodes.poses[one], episodes.starts[one])
+        episodes.starts[one] = self.workcell.task.onward(episodes.poses[one], episodes.starts[one])
 
     def _open_attempt(self, index: int, action: int) -> OpenAttempt:
         here = self.episodes

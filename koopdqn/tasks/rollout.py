@@ -97,8 +97,7 @@ def roll_out(
         reached = reached_by(poses, actions, task)
         _advance([runs[i] for i in active], reached, task, reachability, moves, starts[active])
         if task.unfolds:
-            here = np.array([runs[i].poses[-1] for i in active])
-            starts[active] = task.person_frame.onward(here, starts[active])
+            starts[active] = task.onward(np.array([runs[i].poses[-1] for i in active]), starts[active])
         if cut_circles:
             places = np.round(np.array([runs[i].poses[-1] for i in active]) / _SAME_PLACE).astype(np.int64)
             for i, row in zip(active, places, strict=True):

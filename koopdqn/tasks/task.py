@@ -135,6 +135,23 @@ class Task(TaskChoice):
         """Whether the person's path passes itself and is unfolded in their frame."""
         return False
 
+    def onward(self, poses: Array, starts: Array) -> Array:
+        """Return the starts (N, 7) that count from poses (N, 7) on, of episodes from ``starts`` (N, 7).
+
+        Where the path passes itself it has legs, and an episode that comes to one counts as begun there.
+        """
+        return self.person_frame.onward(poses, starts) if self.unfolds else starts
+
+    def begun(self, poses: Array) -> Array:
+        """Return the starts (N, 7) that count at the poses (N, 7) of one episode."""
+        return self.person_frame.begun(poses) if self.unfolds else np.repeat(poses[:1], len(poses), axis=0)
+
+    def legs(self, start: Array) -> Array:
+        """Return the starts (K, 7) of all legs of an episode from a start (7,)."""
+        unfolding = self.person_frame.unfolding if self.unfolds else None
+        cuts = np.empty((0, 7)) if unfolding is None else unfolding.path[unfolding.cuts]
+        return np.concatenate([start[None], cuts])
+
     @property
     def demonstrated(self) -> Sequence[Array]:
         """The demonstrations that define the task, poses (N, 7) each; none where it is defined without."""

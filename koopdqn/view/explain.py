@@ -62,7 +62,7 @@ def walked(
     else:
         reference = intended_path(feedback.reward.model, task, start, step_limit)
         compared = "the path that the intent alone would take"
-    begun = feedback.reward.model.start_frame.begun(episode.poses)
+    begun = task.begun(episode.poses)
     evaluation = feedback.evaluate_actions(episode.poses, np.arange(len(begun)), begun)
     values = policy.values(episode.poses, begun)
     gaps = [float(pose.position_distance(reference, row).min()) for row in episode.poses]

@@ -131,7 +131,7 @@ def learned_motions(
     references = reference_paths(task, starts, step_limit) if referred else [None] * len(starts)
     found = []
     for index, episode in enumerate(roll_out(policy, task, workcell.reachability, starts, joints, step_limit)):
-        begun = feedback.reward.model.start_frame.begun(episode.poses)
+        begun = task.begun(episode.poses)
         actions = policy(episode.poses, begun)
         twists = actions[:, None] if actions.ndim > 1 else None
         evaluation = feedback.evaluate_actions(episode.poses, np.arange(len(begun)), begun, twists)

@@ -135,7 +135,8 @@ def _on_path(config: Configuration, trained: TrainedRun, policy: Policy, feedbac
 def _given(config: Configuration, trained: TrainedRun, policy: Policy, feedback: Feedback, given: Array) -> _State:
     """Return the state of a given pose (1, 7), which is on no path.
 
-    What follows starts is placed by the held-out start that was asked for, else by the nominal one.
+    What follows starts is placed by the held-out start that was asked for, else by the nominal one; of a path that
+    passes itself it is told as on the leg that is nearest.
     """
     taken = trained.workcell.reachability.enter(given[0])
     if taken.joints is None:
@@ -146,6 +147,9 @@ def _given(config: Configuration, trained: TrainedRun, policy: Policy, feedback:
     number, start = config.explain.start, trained.workcell.task.nominal_start[None]
     if number is not None:
         start = _drawn(config, trained).starts[number : number + 1]
+    legs = trained.workcell.task.legs(start[0])
+    local = feedback.reward.model.start_frame.to_frame(np.repeat(given, len(legs), axis=0), legs)
+    start = legs[feedback.reward.trust.distance(local).argmin()][None]
     evaluation = feedback.evaluate_actions(given, np.array([0]), start)
     place = dict.fromkeys(("outcome", "detail", "steps", "step", "left_at", "off_path_mm"))
     told = {**place, "start": number, "why_step": "the pose was given"}
