@@ -52,7 +52,7 @@ def test_the_trust_shown_has_what_answers_added(run: Path, tmp_path: Path, monke
     monkeypatch.setattr(view, "write_page", lambda folder, _: folder)
     monkeypatch.setattr(Shown, "content", lambda self: trusts.append(self.trust))
     assert cli.main(["view", f"run={run}", f"out={tmp_path}/page", "--json"]) == 0
-    assert trusts == [feedback.reward.trust]
+    assert trusts == [feedback.reward.trust.drawn.return_value]
 
 
 def test_demonstrations_are_shown_in_the_scene_of_their_own_task(
