@@ -267,8 +267,8 @@ def test_a_path_that_passes_itself_is_learned_measured_and_not_corrected(
     assert report["success_rate"] >= 0.95
     assert report["holdout"]["hausdorff_mm"]["policy"][0] < 20.0
     rows, explained = eight(0.004, 0), tmp_path / "explained"
-    given = ",".join(f"{value:.6f}" for value in rows[250])
-    assert cli.main(["explain", f"run={run}", f"explain.pose=[{given}]", f"out={explained}"]) == 0
+    pose_given = ",".join(f"{value:.6f}" for value in rows[250])
+    assert cli.main(["explain", f"run={run}", f"explain.pose=[{pose_given}]", f"out={explained}"]) == 0
     actions = json.loads((explained / "explain.json").read_text())["actions"]
     best = max(actions, key=lambda action: action["reward"])
     assert (np.array(best["reached"][:3]) - rows[250, :3]) @ (rows[256, :3] - rows[250, :3]) > 0.0
