@@ -17,7 +17,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Positive, Vector3
-from koopdqn.tasks.demonstrated import DemonstratedTask, RotationType
+from koopdqn.tasks.demonstrated import LEAST_WAY, DemonstratedTask, RotationType
 from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
@@ -30,8 +30,6 @@ from koopdqn.tasks.unfolding import Unfolding
 _STEP_M, _LEAST_STEP_M, _LARGEST_STEP_M = 0.0021, 0.0005, 0.005
 _FEWEST_STEPS, _MOST_STEPS = 50, 500
 _STEP_PER_TOLERANCE = 1.05
-# Least distance of a start from the goal, in goal tolerances.
-_LEAST_WAY = 4.0
 # Turning away by less is how people turn: up to 7° in the sets at hand.
 _AWAY_RAD = np.radians(15)
 
@@ -168,14 +166,15 @@ class Derivation(TaskChoice):
         trajectories = to_step([item.poses for item in training.items], step, turn)
         starts = np.array([trajectory[0] for trajectory in trajectories])
         way = pose.position_distance(starts, goal)
-        if way.min() < _LEAST_WAY * self.goal_tolerance_m:
+        least = LEAST_WAY * self.goal_tolerance_m
+        unfolded = Unfolding.of(trajectories, step, least) is not None
+        if not unfolded and way.min() < least:
             raise BadInputError(
-                f"demonstration {int(way.argmin())} must start at least {_LEAST_WAY * self.goal_tolerance_m:g} m from"
+                f"demonstration {int(way.argmin())} must start at least {least:g} m from"
                 f" the goal, found {way.min():.4f} m: within task.goal_tolerance_m of it the task has ended"
             )
         start = starts[_middle_one(trajectories)]
         half = np.abs(starts - start)[:, pose.POSITION].max(axis=0) + self.start_margin_m
-        unfolded = Unfolding.of(trajectories, step) is not None
         follows = not unfolded and StartFrame.chosen(trajectories, start, goal).follows
         return DemonstratedTask.shown(
             trajectories,
@@ -281,16 +280,10 @@ def _about_passages(task: DemonstratedTask) -> list[str]:
     if unfolding is None:
         return []
     legs = len(unfolding.cuts) + 1
-    notes = [
+    return [
         f"the path passes itself: it has {legs} legs, intent=pose learns all of them, and which one a pose is on is"
         " known from where it was"
     ]
-    for index, rows in enumerate(task.trajectories):
-        starts = unfolding.begun(rows)
-        if task.reached(rows[(starts != starts[-1]).any(axis=1)]).any():
-            notes.append(f"demonstration {index} comes through the goal on its way: episodes that do end there")
-            break
-    return notes
 
 
 def _about_turns_away(task: DemonstratedTask) -> list[str]:

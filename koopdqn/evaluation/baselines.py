@@ -112,7 +112,8 @@ class Greedy:
             wished = self.model.intended(poses, starts)
         else:
             wished = frame.from_frame(self.instead(frame.to_frame(poses, starts)), starts, poses)
-        return _nearest(poses, self.model.to_step(poses, wished, self.task.step_m), self.task, self.continuous)
+        wished = self.model.to_step(poses, wished, self.task.step_m, starts)
+        return _nearest(poses, wished, self.task, self.continuous)
 
 
 def straight_path(start: Array, end: Array, task: Task) -> Array:

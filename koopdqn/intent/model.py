@@ -93,7 +93,7 @@ class IntentModel(ABC):
         poses = [starts]
         for _ in range(limit):
             starts = self.start_frame.onward(poses[-1], starts)
-            poses.append(self.to_step(poses[-1], self.intended(poses[-1], starts), step))
+            poses.append(self.to_step(poses[-1], self.intended(poses[-1], starts), step, starts))
             if np.abs(poses[-1] - poses[-2]).max() < _AT_REST:
                 break
         return np.array(poses)
@@ -119,14 +119,24 @@ class IntentModel(ABC):
         """
         return self.to_step(poses, self.predict(poses), step)
 
-    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
-        """Return predictions (N, 7) from poses (N, 7) rescaled to one step [m], at most up to the goal."""
+    def to_step(self, poses: Array, predicted: Array, step: float, starts: Array | None = None) -> Array:
+        """Return predictions (N, 7) from poses (N, 7) rescaled to one step [m], at most up to the goal.
+
+        ``starts`` (N, 7) are those of their episodes; None if poses are in the start frame already.
+        """
         position = poses[:, pose.POSITION]
         motion = predicted[:, pose.POSITION] - position
         length = pose.norm(motion, keepdims=True)
-        distance = np.minimum(step, pose.position_distance(poses, self.goal))[:, None]
+        distance = np.minimum(step, self._room(poses, starts))[:, None]
         direction = motion / np.where(length > 0, length, 1.0)
         return pose.make(position + distance * direction, predicted[:, pose.QUATERNION])
+
+    def _room(self, poses: Array, starts: Array | None) -> Array:
+        """Return the distances (N,) [m] of poses (N, 7) from the goal; infinite on legs that do not end there."""
+        distance = np.asarray(pose.position_distance(poses, self.goal))
+        if starts is None:
+            return distance
+        return np.where(self.start_frame.on_last_leg(starts), distance, np.inf)
 
     def roll_out(self, starts: Array, steps: int, step: float | None = None) -> Array:
         """Return poses (steps + 1, N, 7) of repeated prediction from starts (N, 7), of fixed ``step`` [m] if given."""
@@ -160,9 +170,9 @@ class ModelOver(IntentModel):
         """The base's frame."""
         return self.base.start_frame
 
-    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
+    def to_step(self, poses: Array, predicted: Array, step: float, starts: Array | None = None) -> Array:
         """Return predictions (N, 7) rescaled to one step as the base does."""
-        return self.base.to_step(poses, predicted, step)
+        return self.base.to_step(poses, predicted, step, starts)
 
     @property
     def matrices(self) -> dict[str, KoopmanModel]:

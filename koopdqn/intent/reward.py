@@ -168,7 +168,7 @@ class IntentReward:
         if starts is not None:
             predicted = self.model.start_frame.from_frame(predicted, starts, poses)
         if self.settings.prediction == "rescaled":
-            predicted = self.model.to_step(poses, predicted, self.task.step_m)
+            predicted = self.model.to_step(poses, predicted, self.task.step_m, starts)
         reached = self._reached(poses, predicted, twists)
         local_reached = reached if starts is None else self.model.start_frame.to_frame(reached, starts[:, None])
         margin = 1.0 - excess(reached, predicted[:, None], self.task)
@@ -184,7 +184,7 @@ class IntentReward:
         wrong[:, : self._illegal.size] |= self._illegal
         certain = certain_signs(np.where(wrong, -np.inf, margin), doubt)
         reward = self.settings.size * np.where(wrong, -1.0, reward)
-        at_goal = self.task.reached(reached.reshape(-1, 7)).reshape(reached.shape[:2])
+        at_goal = self.task.arrived(reached, starts)
         reward = np.where(at_goal & (reward >= 0), reward + self.settings.goal, reward)
         source = np.select([wrong, demonstrated & certain, certified & certain], [RULE, TRUSTED, CERTIFIED], ASKED)
         margin = np.where(wrong, -np.inf, margin)

@@ -230,7 +230,7 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
 
     def from_starts(poses: Array, starts: Array) -> Array:
         starts[:] = model.start_frame.onward(poses, starts)
-        return model.to_step(poses, model.intended(poses, starts), task.step_m)
+        return model.to_step(poses, model.intended(poses, starts), task.step_m, starts)
 
     there, far = _arrives(in_frame, demonstrated, task, limit), _arrives(from_starts, wide, task, limit)
     region = np.concatenate([there, _arrives(from_starts, drawn, task, limit)])

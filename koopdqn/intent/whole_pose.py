@@ -160,12 +160,14 @@ class WholePoseIntent(IntentModel):
         turned = _nearest_rotations(rows[:, _TURN].reshape(-1, 3, 3) + np.eye(3))
         return pose.make(position, pose.multiply(self.goal[pose.QUATERNION], turned))
 
-    def to_step(self, poses: Array, predicted: Array, step: float) -> Array:
+    def to_step(self, poses: Array, predicted: Array, step: float, starts: Array | None = None) -> Array:
         """Return predictions (N, 7) rescaled to one step of the agent [m], position and turn together."""
         if self.held:
-            return super().to_step(poses, predicted, step)
-        turn = IN_PLACE * self.rotation_tolerance
-        return (full_step if self.in_full else one_step)(poses, predicted, self.goal, step, turn)
+            return super().to_step(poses, predicted, step, starts)
+        room, turn = self._room(poses, starts), IN_PLACE * self.rotation_tolerance
+        if self.in_full:
+            return full_step(poses, predicted, room, step, turn)
+        return one_step(poses, predicted, self.goal, room, step, turn)
 
     def within(self, frame: StartFrame) -> "WholePoseIntent":
         """Return the model with the frame in which it was fitted."""

@@ -1,6 +1,7 @@
 """Starts of episodes: in and around the start region, or along a demonstration."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -86,21 +87,34 @@ class StartSampler:
     def _along_demonstration(self, rng: np.random.Generator, agent: Agent) -> EpisodeStart:
         task, reachability = self.workcell.task, self.workcell.reachability
         for _ in range(_MOST_DRAWS):
-            trajectory = self.trajectories[rng.integers(len(self.trajectories))]
-            index = rng.integers(len(trajectory))
-            pose = trajectory[index].copy()
+            which = rng.integers(len(self.trajectories))
+            index = rng.integers(len(self.trajectories[which]))
+            pose = self.trajectories[which][index].copy()
             pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
             if task.orientation == "learned":
                 pose[3:] = _turned(pose[3:], task, agent.exploring_spread_rad, rng)
-            start = self.frame.start_of(pose, task.draw_starts(rng, 1)[0])
+            start = self._start_at(which, index, task.draw_starts(rng, 1)[0])
             pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
             motion = reachability.enter(pose)
-            if motion.joints is not None and not task.reached(pose[None])[0]:
+            if motion.joints is not None and not task.arrived(pose[None], start[None])[0]:
                 return EpisodeStart(pose, start, motion.joints, agent.exploring_steps, True)
         raise WorkFailedError(
             f"task {task.name}: the arm must be able to begin along the demonstrations,"
             f" found {_MOST_DRAWS} draws in a row refused"
         )
+
+    def _start_at(self, which: int, index: int, start: Array) -> Array:
+        """Return the start (7,) that counts at a pose of a demonstration: a given one, or that of its leg."""
+        begun = self._begun[which]
+        return start if begun is None or (begun[index] == begun[0]).all() else begun[index]
+
+    @cached_property
+    def _begun(self) -> list[Array | None]:
+        """The starts (N, 7) that count at the poses of each demonstration; None where the path has no legs."""
+        task = self.workcell.task
+        if not task.unfolds:
+            return [None] * len(self.trajectories)
+        return [task.begun(self.frame.from_frame(rows, rows[:1], rows)) for rows in self.trajectories]
 
 
 def _turned(quaternion: Array, task: Task, spread: float, rng: np.random.Generator) -> Array:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 RotationType = Literal["held", "geodesic", "full", "free"]
 """How a task made from demonstrations treats orientation."""
 
+LEAST_WAY = 4.0
+"""Least distance of a demonstrated start from the goal, in goal tolerances; a path that passes itself may be closed."""
 CLEAR_OF_GOAL = 3.0
 """A start within this many goal tolerances of the goal is none; a wide start region may contain the goal."""
 
@@ -129,7 +131,8 @@ class DemonstratedTask(Task):
         """The start frame, chosen by leaving one demonstration out at a time."""
         if self.follows_start:
             return StartFrame.following(self.trajectories, self.nominal_start, self.goal)
-        unfolding = Unfolding.of(self.trajectories, self.step_m) if self.passes_itself else None
+        by_goal = LEAST_WAY * self.goal_tolerance_m
+        unfolding = Unfolding.of(self.trajectories, self.step_m, by_goal) if self.passes_itself else None
         start, goal = self.nominal_start[pose.POSITION], self.goal[pose.POSITION]
         return StartFrame(start, goal, follows=False, unfolding=unfolding)
 
@@ -157,6 +160,7 @@ class DemonstratedTask(Task):
             if self.goal_half_range_m is not None:
                 half = np.array(self.goal_half_range_m)
                 start[pose.POSITION] -= rng.uniform(-half, half)
-            if pose.position_distance(start, self.goal) > CLEAR_OF_GOAL * self.goal_tolerance_m:
+            # A path that passes itself may begin where it ends.
+            if self.unfolds or pose.position_distance(start, self.goal) > CLEAR_OF_GOAL * self.goal_tolerance_m:
                 drawn.append(start)
         return np.array(drawn)

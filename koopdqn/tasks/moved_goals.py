@@ -62,9 +62,8 @@ def _can_go(workcell: Workcell, start: Array, moved: Array) -> bool:
     """Return whether the arm can take the goal moved by (3,) [m], and a start (7,) is not at it already."""
     goal = workcell.task.goal.copy()
     goal[pose.POSITION] += moved
-    apart = float(pose.position_distance(start, goal))
-    clear = apart > CLEAR_OF_GOAL * workcell.task.goal_tolerance_m
-    return clear and workcell.reachability.enter(goal).joints is not None
+    clear = float(pose.position_distance(start, goal)) > CLEAR_OF_GOAL * workcell.task.goal_tolerance_m
+    return (clear or workcell.task.unfolds) and workcell.reachability.enter(goal).joints is not None
 
 
 class FlangeAlone(Reachability):

@@ -99,7 +99,9 @@ def roll_out(
         if task.unfolds:
             starts[active] = task.onward(np.array([runs[i].poses[-1] for i in active]), starts[active])
         if cut_circles:
-            places = np.round(np.array([runs[i].poses[-1] for i in active]) / _SAME_PLACE).astype(np.int64)
+            # A path that turns back comes to the same poses, on another leg.
+            held = np.concatenate([np.array([runs[i].poses[-1] for i in active]), starts[active]], axis=1)
+            places = np.round(held / _SAME_PLACE).astype(np.int64)
             for i, row in zip(active, places, strict=True):
                 place = row.tobytes()
                 if place in seen[i] and not runs[i].outcome:
@@ -117,10 +119,12 @@ def follow(
     """
     moved = np.zeros((len(paths), 3)) if moved is None else moved
     runs = [_Run([path[0]], [angles], each) for path, angles, each in zip(paths, joints, moved, strict=True)]
+    starts = [task.begun(path) for path in paths]
     for t in range(1, max(map(len, paths), default=0)):
         active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
         if active:
-            _advance([runs[i] for i in active], np.array([paths[i][t] for i in active]), task, reachability)
+            reached, begun = (np.array([rows[i][at] for i in active]) for rows, at in ((paths, t), (starts, t - 1)))
+            _advance([runs[i] for i in active], reached, task, reachability, None, begun)
     return [run.finished() for run in runs]
 
 
@@ -141,14 +145,14 @@ def _advance(
     reached: Array,
     task: Task,
     reachability: Reachability,
-    moves: Moves | None = None,
-    starts: Array | None = None,
+    moves: Moves | None,
+    starts: Array,
 ) -> None:
     """Move runs from ``starts`` (N, 7) one step to the reached poses (N, 7), and set the outcome of those that end."""
     joints = np.array([run.joints[-1] for run in runs])
     away = np.array([[*run.moved, 0.0, 0.0, 0.0, 0.0] for run in runs])
     before = np.array([run.poses[-1] for run in runs])
-    if moves is None or starts is None:
+    if moves is None:
         motions = reachability.move_batch(reached + away, joints)
     else:
         steps = np.array([len(run.poses) - 1 for run in runs])
@@ -156,7 +160,8 @@ def _advance(
     stuck = pose.position_distance(reached, before) == 0
     if stuck.any():
         stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) == 0
-    ends = np.select([breaks_rule(task, reached), task.reached(reached), stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
+    there = task.arrived(reached, starts)
+    ends = np.select([breaks_rule(task, reached), there, stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
     for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):
         if motion.joints is None:
             run.outcome, run.detail = motion.reason, motion.detail

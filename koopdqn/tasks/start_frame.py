@@ -206,9 +206,9 @@ class StartFrame:
         """Return the starts (N, 7) that count at the poses (N, 7) of one path."""
         return np.repeat(poses[:1], len(poses), axis=0) if self.unfolding is None else self.unfolding.begun(poses)
 
-    def start_of(self, local: Array, start: Array) -> Array:
-        """Return the start (7,) that counts at a pose ``local`` (7,) of the frame, on a path from ``start`` (7,)."""
-        return start if self.unfolding is None else self.unfolding.start_of(local, start)
+    def on_last_leg(self, starts: Array) -> np.ndarray:
+        """Return whether the leg that began at each of ``starts`` (N, 7) ends at the goal, as booleans (N,)."""
+        return np.ones(len(starts), dtype=bool) if self.unfolding is None else self.unfolding.on_last_leg(starts)
 
     def along(self, poses: Array) -> Array:
         """Return the poses (N, 7) of one path in the frame."""
@@ -221,8 +221,11 @@ class StartFrame:
         return self.unfolding.from_frame(pose.make(positions, pose.IDENTITY[pose.QUATERNION]))[:, pose.POSITION]
 
     def each(self, trajectories: Sequence[Array]) -> list[Array]:
-        """Return trajectories (N, 7), each in the frame by its own start."""
-        return [self.along(rows) for rows in trajectories]
+        """Return trajectories (N, 7), each in the frame by its own start, with what leads from one leg to the next."""
+        unfolding = self.unfolding
+        if unfolding is None:
+            return [self.to_frame(rows, rows[:1]) for rows in trajectories]
+        return [unfolding.whole(rows) for rows in trajectories]
 
     def each_unseen(self, trajectories: Sequence[Array]) -> list[Array]:
         """Return the trajectories (N, 7) that the frame was fitted to, each in the frame fitted to the others.

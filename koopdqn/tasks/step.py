@@ -18,11 +18,11 @@ _LITTLE, _ON_THE_WAY = 0.45, 2.4
 _TOWARD = 0.866
 
 
-def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float) -> Array:
-    """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), at most up to the goal (7,).
+def one_step(poses: Array, wished: Array, goal: Array, room: Array, step: float, turn: float) -> Array:
+    """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), at most as far as there is room.
 
-    A step is ``step`` [m] far, or turns by ``turn`` [rad] in place. Table 1 turns along the geodesic to the goal only,
-    so only that part ω [rad] of the wished turn counts. With a small turn, or a motion toward the goal, the motion is a
+    A step is ``step`` [m] far, or turns by ``turn`` [rad] in place; ``room`` (N,) [m] is what is left up to the goal
+    (7,). Table 1 turns along the geodesic to the goal only, so only that part ω [rad] of the wished turn counts. With a small turn, or a motion toward the goal, the motion is a
     full step. Otherwise Table 1 turns in place only: motion v [m] and turn are scaled to (v/step)² + (ω/turn)² = 1, so
     that a larger turn means a shorter motion.
     """
@@ -41,15 +41,15 @@ def one_step(poses: Array, wished: Array, goal: Array, step: float, turn: float)
     size = np.where(whole, length / step, np.hypot(length / step, angle / turn))
     size = np.maximum(size, 1e-12)
     angle = np.where(whole, np.minimum(angle, _ON_THE_WAY * turn) * size, angle)
-    moved = np.minimum(length / size, distance)
+    moved = np.minimum(length / size, room)
     position = poses[:, pose.POSITION] + moved[:, None] * direction
     return pose.make(position, pose.turned_toward(quaternion, toward, np.minimum(angle / size, left)))
 
 
-def full_step(poses: Array, wished: Array, goal: Array, step: float, turn: float) -> Array:
+def full_step(poses: Array, wished: Array, room: Array, step: float, turn: float) -> Array:
     """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), turned as these are.
 
-    What a continuous action can do: the motion is a full step, at most up to the goal (7,), and the turn about any
+    What a continuous action can do: the motion is a full step, at most as far as there is room, and the turn about any
     axis. Where that is larger than an action's largest, both are shortened alike. Arguments as of :func:`one_step`.
     """
     quaternion = poses[:, pose.QUATERNION]
@@ -57,7 +57,7 @@ def full_step(poses: Array, wished: Array, goal: Array, step: float, turn: float
     direction = motion / np.maximum(pose.norm(motion), 1e-12)[:, None]
     left = pose.rotation_distance(poses, wished)
     share = 1.0 / np.maximum(left / (TURNS_PER_STEP / IN_PLACE * turn), 1.0)
-    moved = share * np.minimum(step, pose.position_distance(poses, goal))
+    moved = share * np.minimum(step, room)
     turned = pose.turned_toward(quaternion, wished[:, pose.QUATERNION], share * left)
     # Of q and −q the nearer, or paths made of such steps could not be interpolated.
     turned = turned * np.where((turned * quaternion).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)

@@ -149,7 +149,7 @@ class Task(TaskChoice):
     def legs(self, start: Array) -> Array:
         """Return the starts (K, 7) of all legs of an episode from a start (7,)."""
         unfolding = self.person_frame.unfolding if self.unfolds else None
-        cuts = np.empty((0, 7)) if unfolding is None else unfolding.path[unfolding.cuts]
+        cuts = np.empty((0, 7)) if unfolding is None else unfolding.starts
         return np.concatenate([start[None], cuts])
 
     @property
@@ -315,6 +315,17 @@ class Task(TaskChoice):
         if near.any():
             near[near] = pose.rotation_distance(poses[near], self.goal) <= self.goal_rotation_tolerance_rad
         return near
+
+    def arrived(self, poses: Array, starts: Array | None) -> np.ndarray:
+        """Return whether poses (N, ..., 7) of episodes that began at ``starts`` (N, 7) end them at the goal, as booleans.
+
+        A path that passes itself may come through the goal on its way, and ends there on its last leg alone. Without
+        starts the poses are in the start frame already.
+        """
+        there = np.asarray(self.reached(poses.reshape(-1, 7)), dtype=bool).reshape(poses.shape[:-1])
+        if starts is None or not self.unfolds or not there.any():
+            return there
+        return (there.T & self.person_frame.on_last_leg(starts)).T
 
 
 def angles_in(frame: Array, quaternions: Array) -> Array:

@@ -2,8 +2,9 @@
 
 Where a path comes over the same place twice, the place alone does not say how it goes on. Every place is lifted, the
 higher the more of the path is left, as a helix lifts a circle; intent, trust and policy then know it as they know any
-other path. Which passage a pose belongs to is known from the leg that its episode is on: the path is cut between its
-passages, and where an episode passes a cut, it counts as having started there.
+other path. Where it turns back and goes back the way it came, what comes before lies above what comes after as one
+floor above the next. Which passage a pose belongs to is known from the leg that its episode is on: the path is cut
+between its passages, and where it turns back; where an episode passes a cut, it counts as having started there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,21 +14,21 @@ from functools import cached_property
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.paths import arc_lengths, mean_poses, to_count, way_lengths
+from koopdqn.paths import arc_lengths, between, mean_poses, to_count, way_lengths
 from koopdqn.pose import Array
 
 # Distance of the path's points [m], more where they would be more than so many.
 _SPACING_M, _MOST_POINTS = 0.002, 1500
 # Two passages are one place if nearer together than so many spreads of the demonstrations, and than so many steps. They
-# are two if the path between them is so many times longer, and opens so many times farther; where it does not, it goes
-# back the way it came if it is nearer to itself than so many times that distance.
-_SPREADS, _STEPS, _APART, _OPENS, _BESIDE = 2.0, 4.0, 3.0, 2.0, 1.5
+# are two if the path between them is so many times longer; if it does not open so many times farther on its way, it
+# turns back between them.
+_SPREADS, _STEPS, _APART, _OPENS = 2.0, 4.0, 3.0, 2.0
 # Each passage is lifted above the next by so many of that distance, where that is no steeper than this [m/m].
 _LIFTED, _STEEPEST = 3.0, 0.5
 # Iterations of the inverse.
 _ITERATIONS = 3
-# Positions that differ by less [m] are the same.
-_SAME = 1e-9
+# Positions that differ by less [m] are the same; starts of legs differ by more.
+_SAME, _HAIR = 1e-9, 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,18 +40,22 @@ class Unfolding:
         axis: (3,) the direction in which places are lifted, a unit vector.
         lifts: (P,) by how much each place is lifted [m]; 0 at the goal.
         cuts: (K,) places of the path at which its legs end, in order; the last one ends at the goal.
-        overlap: by how many places a leg is known beyond its ends.
+        back: (K,) whether the path turns back at each cut, and goes back the way it came.
+        overlap: by how many places a leg is known beyond its ends, but where the path turns back.
     """
 
     path: Array
     axis: Array
     lifts: Array
     cuts: np.ndarray
+    back: np.ndarray
     overlap: np.ndarray
 
     @classmethod
-    def of(cls, trajectories: Sequence[Array], step: float) -> "Unfolding | None":
+    def of(cls, trajectories: Sequence[Array], step: float, by_goal: float) -> "Unfolding | None":
         """Return the unfolding of trajectories (N, 7) with steps of ``step`` [m].
+
+        What comes nearer to the goal than ``by_goal`` [m] counts as a passage of it.
 
         None if their mean does not pass itself, or if they are too far from it to tell which passage they are on.
         """
@@ -62,21 +67,24 @@ class Unfolding:
         length = float(arc_lengths(mean[:, pose.POSITION])[-1])
         path = to_count(mean, min(max(3, round(length / _SPACING_M) + 1), _MOST_POINTS))
         spacing = length / (len(path) - 1)
-        pairs, back = _passages(path[:, pose.POSITION], near, spacing)
+        pairs, opened = _passages(path[:, pose.POSITION], near, max(near, by_goal), spacing)
         if not len(pairs):
             return None
         overlap = max(1, round(near / spacing))
-        cuts = _cuts(pairs[:, 0] + overlap + 1, pairs[:, 1] - overlap - 1)
+        turns = _turns(path[:, pose.POSITION], pairs[~opened], overlap)
+        # Passages between which the path turns back are on two floors already.
+        around = pairs[np.searchsorted(turns, pairs[:, 0]) == np.searchsorted(turns, pairs[:, 1])]
+        cuts = _cuts(around[:, 0] + overlap + 1, around[:, 1] - overlap - 1)
         if cuts is None:
             return None
-        rising = np.append(np.cumsum(~back[::-1])[::-1][1:], 0) * spacing
-        least = float((rising[pairs[:, 0]] - rising[pairs[:, 1]]).min())
-        if least <= 0.0:
-            return None
+        way = spacing * np.arange(len(path))[::-1]
+        lifts = min(_STEEPEST, _LIFTED * near / (way[around[:, 0]] - way[around[:, 1]]).min(initial=np.inf)) * way
+        lifts += _LIFTED * near * (len(turns) - np.searchsorted(turns, np.arange(len(path))))
         away = path[:, pose.POSITION] - path[:, pose.POSITION].mean(axis=0)
         axis = np.linalg.svd(away, full_matrices=False)[2][-1]
-        lifts = min(_STEEPEST, _LIFTED * near / least) * rising
-        found = cls(path, axis, lifts, cuts, np.array(overlap))
+        every = np.union1d(cuts, turns)
+        found = cls(path, axis, lifts, every, np.isin(every, turns), np.array(overlap))
+        least = float(np.diff(pairs).min() * spacing)
         return found if all(found._tells(rows, least) for rows in trajectories) else None
 
     def to_frame(self, poses: Array, starts: Array) -> Array:
@@ -87,39 +95,70 @@ class Unfolding:
     def from_frame(self, local: Array) -> Array:
         """Return the inverse of :meth:`to_frame` at ``local`` (..., 7)."""
         place = _nearest(local[..., pose.POSITION].reshape(-1, 3), self._lifted).reshape(local.shape[:-1])
-        legs = np.searchsorted(self.cuts, place, side="right")
+        legs = (place[..., None] > self.cuts + 0.5).sum(axis=-1)
         for _ in range(_ITERATIONS):
             place = self._progress(self._moved(local, -self._lift(place)), legs)
         return self._moved(local, -self._lift(place))
+
+    def whole(self, poses: Array) -> Array:
+        """Return the poses (N, 7) of one path, lifted, and between them (M, 7) what leads from floor to floor.
+
+        It goes on beyond where the path turns back, and comes back there on the next floor: so all states near the end
+        of a leg lead to that end, and none aside.
+        """
+        starts = self.begun(poses)
+        lifted, legs = self.to_frame(poses, starts), self._leg(starts)
+        usual = float(np.median(pose.position_distance(poses[1:], poses[:-1])))
+        parts, done = [], 0
+        for row in np.flatnonzero(np.diff(legs) * np.append(self.back, False)[legs[:-1]]):
+            above, below = lifted[row], lifted[row + 1]
+            out, back = self._beyond[legs[row]]
+            corners = [above, self._moved(above, out), self._moved(below, back), below]
+            parts.append(lifted[done:row])
+            for corner, following in zip(corners[:-1], corners[1:], strict=True):
+                count = max(1, round(float(pose.position_distance(corner, following)) / usual))
+                parts.append(between(corner, following, np.arange(count) / count))
+            done = row + 1
+        return np.concatenate([*parts, lifted[done:]])
 
     def onward(self, poses: Array, starts: Array) -> Array:
         """Return the starts (N, 7) of the legs on which poses (N, 7) are, of legs that began at ``starts`` (N, 7)."""
         legs = self._leg(starts)
         under_way = legs < len(self.cuts)
-        passed = under_way & (self._progress(poses, legs) >= np.append(self.cuts, len(self.path))[legs])
+        passed = under_way & (self._progress(poses, legs) >= np.append(self._passed, len(self.path))[legs])
         if not passed.any():
             return starts
         after = starts.copy()
-        after[passed] = self.path[self.cuts[legs[passed]]]
+        after[passed] = self.starts[legs[passed]]
         return after
 
     def begun(self, poses: Array) -> Array:
-        """Return the starts (N, 7) of the legs on which the poses (N, 7) of one path are."""
+        """Return the starts (N, 7) of the legs on which the poses (N, 7) of one path are.
+
+        Of a path that turns back too early, a leg ends where it comes nearest to the place.
+        """
         starts = np.repeat(poses[:1], len(poses), axis=0)
         row = 0
-        for leg, cut in enumerate(self.cuts):
-            passed = self._progress(poses[row:], np.full(len(poses) - row, leg)) >= cut
+        for leg, (least, back) in enumerate(zip(self._passed, self.back, strict=True)):
+            progress = self._progress(poses[row:], np.full(len(poses) - row, leg))
+            passed = progress >= least
+            if back:
+                passed = _turned_back(progress, least, float(self.overlap))
             if not passed.any():
                 break
             row += int(passed.argmax())
-            starts[row:] = self.path[cut]
+            starts[row:] = self.starts[leg]
         return starts
 
-    def start_of(self, local: Array, start: Array) -> Array:
-        """Return the start (7,) of the leg on which a lifted pose (7,) is, of an episode that begins at ``start``."""
-        place = _nearest(local[None, pose.POSITION], self._lifted)[0]
-        leg = int(np.searchsorted(self.cuts, place, side="right"))
-        return start if leg == 0 else np.asarray(self.path[self.cuts[leg - 1]])
+    def on_last_leg(self, starts: Array) -> np.ndarray:
+        """Return whether the leg that began at each of ``starts`` (N, 7) ends at the goal, as booleans (N,)."""
+        return np.asarray(self._leg(starts) == len(self.cuts))
+
+    @cached_property
+    def starts(self) -> Array:
+        """The poses (K, 7) at which all legs but the first begin, apart by a hair where the path is there again."""
+        hair = _HAIR * np.arange(len(self.cuts))[:, None] * self.axis
+        return self._moved(self.path[self.cuts], hair)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the unfolding as arrays."""
@@ -134,16 +173,18 @@ class Unfolding:
         """
         if "unfolding_path" not in held:
             return None
-        path, axis, lifts, cuts, overlap = (np.asarray(held[f"unfolding_{each.name}"]) for each in fields(cls))
+        held = {"unfolding_back": np.zeros(np.shape(held["unfolding_cuts"]), dtype=bool), **held}
+        path, axis, lifts, cuts, back, overlap = (np.asarray(held[f"unfolding_{each.name}"]) for each in fields(cls))
         count = len(path) if path.ndim == 2 else 0
         if count < 3 or path.shape[1] != 7 or lifts.shape != (count,) or axis.shape != (3,):
             raise ValueError(f"the unfolding must have a path of three poses at least, found {path.shape}")
         if not all(np.isfinite(each).all() for each in (path, axis, lifts)):
             raise ValueError("the unfolding must be of finite numbers")
         inside = cuts.ndim == 1 and len(cuts) > 0 and bool(((cuts > 0) & (cuts < count - 1)).all())
-        if not inside or (np.diff(cuts) <= 0).any() or overlap.shape != () or overlap < 1:
+        if not inside or (np.diff(cuts) <= 0).any() or back.shape != cuts.shape or overlap.shape != () or overlap < 1:
             raise ValueError(f"the unfolding must be cut on its path, in order, found {cuts.tolist()}")
-        return cls(path.astype(float), axis.astype(float), lifts.astype(float), cuts.astype(int), overlap.astype(int))
+        whole = cuts.astype(int), back.astype(bool), overlap.astype(int)
+        return cls(path.astype(float), axis.astype(float), lifts.astype(float), *whole)
 
     def _tells(self, poses: Array, least: float) -> bool:
         """Return whether the poses (N, 7) of one path are on leg after leg, and skip no loop of ``least`` [m]."""
@@ -153,7 +194,7 @@ class Unfolding:
 
     def _leg(self, starts: Array) -> np.ndarray:
         """Return the leg (...) that began at each start (..., 7); the first unless that is a cut."""
-        apart = np.abs(starts[..., None, pose.POSITION] - self.path[self.cuts, pose.POSITION]).max(axis=-1)
+        apart = np.abs(starts[..., None, pose.POSITION] - self.starts[:, pose.POSITION]).max(axis=-1)
         return np.where(apart.min(axis=-1) < _SAME, apart.argmin(axis=-1) + 1, 0)
 
     def _progress(self, poses: Array, legs: np.ndarray) -> Array:
@@ -161,8 +202,7 @@ class Unfolding:
         positions, of_leg = poses[..., pose.POSITION].reshape(-1, 3), legs.reshape(-1)
         found = np.empty(len(positions))
         for leg in np.unique(of_leg):
-            first = 0 if leg == 0 else max(0, int(self.cuts[leg - 1]) - int(self.overlap))
-            last = len(self.path) if leg == len(self.cuts) else int(self.cuts[leg]) + int(self.overlap) + 1
+            first, last = self._reach[leg]
             rows = of_leg == leg
             found[rows] = first + _nearest(positions[rows], self.path[first:last, pose.POSITION])
         return found.reshape(poses.shape[:-1])
@@ -176,6 +216,32 @@ class Unfolding:
         return np.concatenate([poses[..., pose.POSITION] + offset, poses[..., pose.QUATERNION]], axis=-1)
 
     @cached_property
+    def _reach(self) -> list[tuple[int, int]]:
+        """The first place of each leg and the one after its last."""
+        beyond = np.where(self.back, 0, self.overlap)
+        first = np.where(self.back, self.cuts + 1, np.maximum(0, self.cuts - beyond))
+        last = np.minimum(self.cuts + beyond + 1, len(self.path))
+        return list(zip([0, *first.tolist()], [*last.tolist(), len(self.path)], strict=True))
+
+    @cached_property
+    def _beyond(self) -> Array:
+        """By how far (K, 2, 3) [m] what leads to the next floor goes on from a leg, and comes from before the next one.
+
+        Nothing where the path does not turn back.
+        """
+        places, far = self.path[:, pose.POSITION], int(self.overlap)
+        ends = np.stack([self.cuts, np.minimum(self.cuts + 1, len(places) - 1)], axis=1)
+        within = np.stack([np.maximum(0, self.cuts - far), np.minimum(self.cuts + 1 + far, len(places) - 1)], axis=1)
+        way = places[ends] - places[within]
+        size = np.maximum(pose.norm(way, keepdims=True), 1e-9)
+        return np.asarray(self.back[:, None, None] * far * self._spacing * way / size)
+
+    @cached_property
+    def _passed(self) -> Array:
+        """The places (K,) from which on legs have ended: those of the cuts, or just before where the path turns back."""
+        return np.asarray(self.cuts - self.back.astype(float))
+
+    @cached_property
     def _spacing(self) -> float:
         return float(arc_lengths(self.path[:, pose.POSITION])[-1] / (len(self.path) - 1))
 
@@ -185,27 +251,54 @@ class Unfolding:
         return np.asarray(self.path[:, pose.POSITION] + self.lifts[:, None] * self.axis)
 
 
-def _passages(path: Array, near: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def _passages(path: Array, near: float, by_goal: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs (M, 2) of places of a path (P, 3) [m] that are one place, by the second of them.
 
-    Where the path goes back the way it came it encloses nothing, and does not pass itself: returned too is which places
-    (P,) lie there, and one of them is told from another no better than before.
+    They are nearer together than ``near``, or the second is the goal and the first nearer to it than ``by_goal`` [m].
+    Returned too is of each (M,) whether the path opens between the two. Where it does not it turns back.
     """
-    pairs, turns = [np.empty((0, 2), dtype=int)], np.zeros(len(path) + 1, dtype=int)
+    pairs, opens = [np.empty((0, 2), dtype=int)], [np.empty(0, dtype=bool)]
     # By how far the path between two places opens that are one and two points nearer together along it.
     last, before = pose.norm(path[1:] - path[:-1]), np.zeros(len(path))
     for gap in range(2, len(path)):
         across, within = pose.norm(path[gap:] - path[:-gap]), before[1:-1]
         if gap * spacing > _APART * near:
-            opened = within > _OPENS * near
-            first = np.flatnonzero((across < near) & opened)
+            first = np.flatnonzero(across < np.append(np.full(len(across) - 1, near), by_goal))
             pairs.append(np.stack([first, first + gap], axis=1))
-            beside = np.flatnonzero((across < _BESIDE * near) & ~opened)
-            turns[beside] += 1
-            turns[beside + gap + 1] -= 1
+            opens.append(within[first] > _OPENS * near)
         last, before = np.maximum(across, within), last
     found = np.concatenate(pairs)
-    return found[np.argsort(found[:, 1], kind="stable")], np.cumsum(turns[:-1]) > 0
+    order = np.argsort(found[:, 1], kind="stable")
+    return found[order], np.concatenate(opens)[order]
+
+
+def _turns(path: Array, pairs: np.ndarray, overlap: int) -> np.ndarray:
+    """Return the places (K,) at which a path (P, 3) turns back, in order, of pairs (M, 2) before and after them.
+
+    The pairs about one place have their middle there, up to the overlap; it is what is farthest from the innermost.
+    """
+    turns = []
+    middle = pairs.sum(axis=1)
+    order = np.argsort(middle, kind="stable")
+    for group in np.split(pairs[order], np.flatnonzero(np.diff(middle[order]) > 2 * overlap) + 1) if len(pairs) else []:
+        first, last = group[np.diff(group).argmin()]
+        away = path[first : last + 1] - 0.5 * (path[first] + path[last])
+        turns.append(first + int(pose.norm(away).argmax()))
+    return np.unique(turns).astype(int)
+
+
+def _turned_back(progress: Array, place: float, overlap: float) -> np.ndarray:
+    """Return whether progress (N,) has come to a place, or as near to it as it comes before it turns back.
+
+    It has turned back where it came within the overlap and has gone back by as much.
+    """
+    most = np.maximum.accumulate(progress)
+    back = (most >= place - overlap) & (progress < most - overlap)
+    until = int(back.argmax()) if back.any() else len(progress)
+    passed = most >= place
+    if until < len(progress) and not passed[:until].any():
+        passed[int(progress[:until].argmax()) :] = True
+    return passed
 
 
 def _cuts(first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
@@ -213,14 +306,15 @@ def _cuts(first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
     if (first > last).any():
         return None
     cuts: list[int] = []
-    low, high = first[0], last[0]
-    for begin, end in zip(first[1:], last[1:], strict=True):
+    spans = list(zip(first.tolist(), last.tolist(), strict=True))
+    low, high = spans[0] if spans else (0, -1)
+    for begin, end in spans[1:]:
         if begin <= high:
             low = max(low, begin)
         else:
-            cuts.append(int(low + high) // 2)
+            cuts.append((low + high) // 2)
             low, high = begin, end
-    return np.array([*cuts, int(low + high) // 2])
+    return np.array([*cuts, (low + high) // 2] if spans else cuts, dtype=int)
 
 
 def _nearest(positions: Array, path: Array) -> Array:

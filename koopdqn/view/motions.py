@@ -184,7 +184,7 @@ def intended_path(model: IntentModel, task: Task, start: Array, step_limit: int)
     It ends at the goal, where the prediction rests, or at the limit.
     """
     path = model.intended_paths(start[None], step_limit, task.step_m)[:, 0]
-    reached = np.flatnonzero(task.reached(path[1:]))
+    reached = np.flatnonzero(task.arrived(path[1:], task.begun(path)[:-1]))
     return path if not len(reached) else path[: reached[0] + 2]
 
 
