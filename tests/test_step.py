@@ -19,7 +19,11 @@ headings = st.floats(-np.pi, np.pi, allow_nan=False)
 
 
 def stepped(here: Array, wished: Array, goal: Array) -> Array:
-    return np.asarray(one_step(here[None], wished[None], goal, STEP, TURN)[0])
+    return np.asarray(one_step(here[None], wished[None], goal, room(here[None], goal), STEP, TURN)[0])
+
+
+def room(here: Array, goal: Array) -> Array:
+    return np.asarray(pose.position_distance(here, goal))
 
 
 def made(here: Array, wished: Array, goal: Array) -> tuple[float, float]:
@@ -134,9 +138,16 @@ def test_at_the_goal_it_stays() -> None:
     np.testing.assert_allclose(stepped(GOAL, at(0.4, 0.9), GOAL), GOAL, atol=1e-12)
 
 
+def test_where_the_path_goes_on_it_does_not_stay_at_the_goal() -> None:
+    after = one_step(GOAL[None], at(0.4, 0.9)[None], GOAL, np.array([np.inf]), STEP, TURN)[0]
+    assert pose.position_distance(after, GOAL) == pytest.approx(STEP)
+    after = full_step(GOAL[None], at(0.4, 0.9)[None], np.array([np.inf]), STEP, TURN)[0]
+    assert pose.position_distance(after, GOAL) > 0.0
+
+
 def test_each_row_is_stepped_by_itself() -> None:
     here, wished = np.array([at(), at(0.1, 0.2)]), np.array([wishing(2.0, 0.1), at(0.1, 0.4)])
-    together = one_step(here, wished, GOAL, STEP, TURN)
+    together = one_step(here, wished, GOAL, room(here, GOAL), STEP, TURN)
     for row in range(2):
         np.testing.assert_allclose(together[row], stepped(here[row], wished[row], GOAL), atol=1e-15)
 
@@ -145,7 +156,7 @@ LARGEST = TURN * TURNS_PER_STEP / IN_PLACE
 
 
 def stepped_in_full(here: Array, wished: Array, goal: Array = GOAL) -> Array:
-    return np.asarray(full_step(here[None], wished[None], goal, STEP, TURN)[0])
+    return np.asarray(full_step(here[None], wished[None], room(here[None], goal), STEP, TURN)[0])
 
 
 @given(here=poses, move=small, turn=turns)
@@ -178,6 +189,6 @@ def test_a_full_step_at_the_goal_turns_in_place_and_stays() -> None:
 
 def test_each_row_is_stepped_in_full_by_itself() -> None:
     here, wished = np.array([at(), at(0.1, 0.2)]), np.array([wishing(2.0, -0.1), at(0.1, -0.4)])
-    together = full_step(here, wished, GOAL, STEP, TURN)
+    together = full_step(here, wished, room(here, GOAL), STEP, TURN)
     for row in range(2):
         np.testing.assert_allclose(together[row], stepped_in_full(here[row], wished[row]), atol=1e-15)

@@ -7,7 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers_shelf import PARTS
-from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown
+from helpers_shown import arc, derivation, recorded, shown
+from helpers_unfolding import (
+    all_the_way,
+    eight,
+    eights,
+    one_by_one,
+    person_of,
+    strokes,
+    task,
+    unfolded,
+    unfolding,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import load_parts
@@ -19,47 +30,16 @@ from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.intent.detour import detour
-from koopdqn.intent.fit import fit
+from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.model import IntentModel
-from koopdqn.paths import arc_lengths, hausdorff, to_step
+from koopdqn.paths import arc_lengths, hausdorff
 from koopdqn.pose import Array
-from koopdqn.tasks.actions import nearest_actions
-from koopdqn.tasks.demonstrated import DemonstratedTask
+from koopdqn.rl.starts import StartSampler
 from koopdqn.tasks.obstacles import Obstacle
-from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import demonstrator_next_poses
 from koopdqn.tasks.unfolding import Unfolding
 from koopdqn.tasks.workcell import open_workcell
-
-STEP = 0.0021
-
-
-def eight(wave: float = 0.0, phase: float = 0.0) -> Array:
-    """Return poses (400, 7) along a figure eight of 0.2 m, its crossing passed twice, waved aside by ``wave`` [m]."""
-    share = np.linspace(0.13, 1.06, 400)
-    across, up = 0.1 * np.sin(2 * np.pi * share), 0.075 * np.sin(4 * np.pi * share)
-    left = np.minimum(1.0, 3.0 * (1.06 - share))
-    across += wave * left * np.sin(9 * share + phase)
-    up += wave * left * np.cos(7 * share + phase)
-    across, up = across - across[-1], up - up[-1]
-    return pose.make(np.stack([np.full(400, 0.45), across, 0.35 + up], axis=1), HORIZONTAL)
-
-
-def eights() -> list[Array]:
-    return to_step([eight(0.004, phase) for phase in range(5)], STEP, 0.1)
-
-
-@cache
-def unfolding() -> Unfolding:
-    found = Unfolding.of(eights(), STEP)
-    assert found is not None
-    return found
-
-
-@cache
-def task() -> DemonstratedTask:
-    return derivation(holdout=0).derive(shown(*map(recorded, eights()))).task
 
 
 def unfolding_of_task() -> Unfolding:
@@ -74,12 +54,6 @@ def intent() -> IntentModel:
     return fit(demonstrations, task(), PARTS.intent, PARTS.trust, PARTS.reward).model
 
 
-def there_and_back() -> Array:
-    forth = np.linspace(0.0, 0.2, 200)
-    place = np.concatenate([forth, forth[::-1][1:120]])
-    return pose.make(np.stack([np.full_like(place, 0.45), place, np.full_like(place, 0.35)], axis=1), HORIZONTAL)
-
-
 def test_a_path_that_passes_itself_is_cut_once_between_each_two_passages() -> None:
     found = unfolding()
     assert len(found.cuts) == 1
@@ -88,15 +62,15 @@ def test_a_path_that_passes_itself_is_cut_once_between_each_two_passages() -> No
 
 
 @pytest.mark.parametrize(
-    "trajectories", [[arc(0.01), arc(-0.01)], [there_and_back()], [arc()]], ids=["an arc", "there and back", "one"]
+    "trajectories", [[arc(0.01), arc(-0.01)], [strokes(0.0, 0.2, 0.195)], [arc()]], ids=["an arc", "a hook", "one"]
 )
 def test_a_path_that_does_not_pass_itself_is_left_as_it_is(trajectories: list[Array]) -> None:
-    assert Unfolding.of(to_step(trajectories, STEP, 0.1), STEP) is None
+    assert unfolded(trajectories) is None
 
 
 def test_demonstrations_that_do_not_tell_their_passages_are_left_as_they_are() -> None:
     half = eight()[:150]
-    assert Unfolding.of(to_step([eight(), eight(), half], STEP, 0.1), STEP) is None
+    assert unfolded([eight(), eight(), half]) is None
 
 
 def test_unfolded_the_path_does_not_pass_itself() -> None:
@@ -132,20 +106,32 @@ def test_folding_back_is_the_inverse_beside_the_path_too(row: int, x: float, y: 
 
 def test_legs_go_on_one_step_at_a_time_as_along_a_whole_path() -> None:
     for rows in eights():
-        starts, told = rows[:1], []
-        for each in rows:
-            starts = unfolding().onward(each[None], starts)
-            told.append(starts[0])
-        assert (np.array(told) == unfolding().begun(rows)).all()
+        told = one_by_one(unfolding(), rows)
+        assert (told == unfolding().begun(rows)).all()
         assert len(np.unique(told, axis=0)) == 2
 
 
-def test_the_start_that_counts_is_known_from_where_a_lifted_pose_lies() -> None:
-    rows = eights()[1]
-    begun = unfolding().begun(rows)
-    lifted = unfolding().to_frame(rows, begun)
-    found = np.array([unfolding().start_of(each, rows[0]) for each in lifted])
-    assert (found == begun).mean() > 0.99
+@pytest.mark.parametrize("intent_of", ["pose", "fourier"])
+def test_exploring_along_a_later_leg_counts_as_begun_on_it(intent_of: str) -> None:
+    parts = load_parts(f"intent={intent_of}")
+    made = derivation(holdout=0).derive(shown(*map(recorded, eights())))
+    fitted = fit(made.training, made.task, parts.intent, parts.trust, parts.reward)
+    shown_paths = agent_steps(made.training, made.task)
+    agent = PARTS.agent.model_copy(update={"exploring_starts": 1.0, "exploring_in_region": 0.0})
+    cell, model = open_workcell(made.task, PARTS.arm), fitted.model
+    sampler = StartSampler(cell, model.start_frame, model.placed(shown_paths), 800, agent)
+    rng = np.random.default_rng(4)
+    legs = made.task.legs(made.task.nominal_start)
+    told = 0
+    for each in (sampler.draw(rng) for _ in range(60)):
+        places = np.concatenate([rows[:, :3] for rows in shown_paths])
+        begun = np.concatenate([made.task.begun(rows) for rows in shown_paths])
+        near = begun[np.linalg.norm(places - each.pose[:3], axis=1) < 0.03]
+        later = (near[:, None] == legs[1:]).all(axis=2).any(axis=1)
+        if later.all() or not later.any():
+            told += 1
+            assert (each.start == legs[1]).all() == later.all()
+    assert told > 20
 
 
 def test_shapes_of_several_actions_a_pose_are_kept() -> None:
@@ -164,6 +150,13 @@ def test_a_frame_keeps_its_unfolding() -> None:
             assert (again.unfolding.arrays()[name] == values).all()
 
 
+def test_an_unfolding_of_before_paths_could_turn_back_is_read() -> None:
+    held = {name: values for name, values in unfolding().arrays().items() if name != "unfolding_back"}
+    found = Unfolding.restore(held)
+    assert found is not None
+    assert not found.back.any()
+
+
 def test_its_arrays_are_those_documented() -> None:
     documented = (Path(__file__).parent.parent / "docs" / "files.md").read_text(encoding="utf-8")
     assert all(f"| `frame_{name}` |" in documented for name in unfolding().arrays())
@@ -179,6 +172,7 @@ def test_its_arrays_are_those_documented() -> None:
         ("cuts", np.array([10**6])),
         ("cuts", np.array([], dtype=int)),
         ("cuts", np.array([50, 40])),
+        ("back", np.array([True, False])),
         ("overlap", np.array(0)),
     ],
 )
@@ -196,25 +190,13 @@ def test_a_task_made_from_demonstrations_says_that_its_path_passes_itself() -> N
     assert not any("passes itself" in note for note in plain.notes)
 
 
-def all_the_way(controller: Controller) -> None:
-    """Assert that a controller passes all of the path, its crossing twice."""
-    cell, start = open_workcell(task(), PARTS.arm), task().nominal_start
-    joints = cell.reachability.enter(start).joints
-    assert joints is not None
-    (episode,) = roll_out(controller, task(), cell.reachability, start[None], joints[None], 800)
-    assert episode.outcome == SUCCESS
-    shown_path = task().trajectories[0]
-    assert hausdorff(episode.poses[:, :3], shown_path[:, :3]) < 0.03
-    assert arc_lengths(episode.poses[:, :3])[-1] > 0.9 * arc_lengths(shown_path[:, :3])[-1]
-
-
 def test_the_demonstrator_goes_all_the_way() -> None:
-    all_the_way(lambda poses, starts: nearest_actions(poses, demonstrator_next_poses(task(), poses, starts), task()))
+    all_the_way(person_of(task()), task())
 
 
 def test_the_intent_goes_all_the_way_and_its_own_path_too() -> None:
     model = intent()
-    all_the_way(Greedy(model, task()))
+    all_the_way(Greedy(model, task()), task())
     path = model.intended_paths(task().nominal_start[None], 800, task().step_m)[:, 0]
     assert hausdorff(path[:, :3], task().trajectories[0][:, :3]) < 0.02
 

@@ -69,8 +69,8 @@ class Derivation(TaskChoice):
     person: AnyPerson = Field(description="who answers: goes along the demonstrations' mean")
     start_margin_m: Positive = Field(description="how far a start lies from a demonstrated one, along each axis [m]")
     end_spread: Fraction = Field(
-        description="largest distance of an end from the mean of all ends, as a share of the median distance from start"
-        " to end"
+        description="largest distance of an end from the mean of all ends, as a share of how far demonstrations go from"
+        " their start, by the median"
     )
     end_spread_rad: Positive = Field(description="the same for its orientation, unless turning=free [rad]")
     held_limit_rad: Positive = Field(
@@ -173,13 +173,17 @@ class Derivation(TaskChoice):
                 f"demonstration {int(way.argmin())} must start at least {least:g} m from"
                 f" the goal, found {way.min():.4f} m: within task.goal_tolerance_m of it the task has ended"
             )
-        start = starts[_middle_one(trajectories)]
+        middle = trajectories[_middle_one(trajectories)]
+        start = middle[0]
+        # A closed path is one by what lies between its ends.
+        away = np.minimum(pose.position_distance(middle, start), pose.position_distance(middle, goal))
+        between = [middle[away.argmax()]] if unfolded else []
         half = np.abs(starts - start)[:, pose.POSITION].max(axis=0) + self.start_margin_m
         follows = not unfolded and StartFrame.chosen(trajectories, start, goal).follows
         return DemonstratedTask.shown(
             trajectories,
             name=self.name,
-            waypoints=(tuple(start[pose.POSITION].tolist()), tuple(goal[pose.POSITION].tolist())),
+            waypoints=tuple(tuple(each[pose.POSITION].tolist()) for each in (start, *between, goal)),
             start_quaternion=tuple(start[pose.QUATERNION].tolist()),
             goal_quaternion=tuple(goal[pose.QUATERNION].tolist()),
             start_half_range_m=tuple(half.tolist()),

@@ -15,8 +15,8 @@ from koopdqn.tasks.demonstrated import RotationType
 # A demonstration is bent over ten times the distance its end moves, so that its direction changes by some ten degrees
 # at most; a short one is bent over its later half.
 _BENT = 10.0
-# What never goes farther from its start [m] turns in place; what ends nearer to it, in shares of its path, closes.
-_IN_PLACE_M, _CLOSED = 0.01, 0.1
+# What never goes farther from its start [m] turns in place.
+_IN_PLACE_M = 0.01
 # How finely turns are compared: shares of the way, and turns from start to goal.
 _SHARES, _ANGLES = 100, 200
 # So many demonstrations left out in turn tell what a set is like.
@@ -34,15 +34,15 @@ def goal_of(items: Sequence[Demonstration]) -> Array:
 
 
 def way_of(items: Sequence[Demonstration]) -> float:
-    """Return the median distance [m] from start to end."""
-    return float(np.median([pose.position_distance(item.poses[0], item.poses[-1]) for item in items]))
+    """Return the median of how far [m] demonstrations go from their start: for most of them that is their end."""
+    return float(np.median([pose.position_distance(item.poses, item.poses[0]).max() for item in items]))
 
 
 def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> float:
     """Return the largest distance [m] of an end from the goal (7,).
 
     Raises:
-        BadInputError: it is more than ``most`` times the median distance from start to end, or nothing but turns.
+        BadInputError: it is more than ``most`` times how far demonstrations go, or they do nothing but turn.
     """
     way = way_of(items)
     farthest = max(float(pose.position_distance(item.poses, item.poses[0]).max()) for item in items)
@@ -54,12 +54,6 @@ def check_position(items: Sequence[Demonstration], goal: Array, most: float) -> 
     apart = [float(pose.position_distance(item.poses[-1], goal)) for item in items]
     worst = int(np.argmax(apart))
     if apart[worst] > most * way:
-        length = float(np.median([arc_lengths(item.poses[:, pose.POSITION])[-1] for item in items]))
-        if way < _CLOSED * length:
-            raise BadInputError(
-                "demonstrations must go from a start to a goal at another place, found them to end where they began:"
-                f" {way:.3f} m from start to end, on a path of {length:.3f} m"
-            )
         raise BadInputError(
             f"demonstration {worst} must end within task.end_spread = {most:g} times the median way of {way:.3f} m of"
             f" the mean of all ends, found {apart[worst]:.3f} m: demonstrations of one task share their goal"

@@ -108,7 +108,7 @@ def _trusted_right(reward: IntentReward, trajectories: list[Array]) -> float | N
     """Return the share of trusted rewards along pose trajectories (N, 7) that the demonstrator agrees with."""
     right = of = 0
     for rows in trajectories:
-        before, starts = rows[:-1], reward.task.begun(rows)[:-1]
+        before, starts = rows[:-1], reward.task.begun(rows, hindsight=True)[:-1]
         evaluation = reward.evaluate_actions(before, np.arange(len(before)), starts)
         wished = demonstrator_next_poses(reward.task, before, starts)
         agrees = within_tolerance(evaluation.reached, wished[:, None], reward.task) == (evaluation.reward >= 0)

@@ -87,8 +87,8 @@ class StartSampler:
     def _along_demonstration(self, rng: np.random.Generator, agent: Agent) -> EpisodeStart:
         task, reachability = self.workcell.task, self.workcell.reachability
         for _ in range(_MOST_DRAWS):
-            which = rng.integers(len(self.trajectories))
-            index = rng.integers(len(self.trajectories[which]))
+            which = int(rng.integers(len(self.trajectories)))
+            index = int(rng.integers(len(self.trajectories[which])))
             pose = self.trajectories[which][index].copy()
             pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
             if task.orientation == "learned":

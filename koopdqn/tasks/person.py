@@ -113,11 +113,14 @@ class Expert:
         arc = self.path.nearest(position, _AS_NEAR * self.step, alone=alone)
         way = self.aim(self.path, position, arc, self.step) - position
         direction = way / np.maximum(pose.norm(way), 1e-12)[:, None]
-        moved = position + np.minimum(self.step, pose.position_distance(poses, self.goal))[:, None] * direction
+        room = pose.position_distance(poses, self.goal)
+        moved = position + np.minimum(self.step, room)[:, None] * direction
         if not self.turn:
             return pose.make(moved, self.goal[pose.QUATERNION])
         wished = pose.make(moved, self.path.turned_at(arc + self.step))
-        return (full_step if self.in_full else one_step)(poses, wished, self.goal, self.step, self.turn)
+        if self.in_full:
+            return full_step(poses, wished, room, self.step, self.turn)
+        return one_step(poses, wished, self.goal, room, self.step, self.turn)
 
     def roll_out(self, start: Array, limit: int) -> Array:
         """Return the poses (T, 7) from a start (7,) to the goal, at most ``limit`` steps."""

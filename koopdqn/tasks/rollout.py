@@ -119,7 +119,7 @@ def follow(
     """
     moved = np.zeros((len(paths), 3)) if moved is None else moved
     runs = [_Run([path[0]], [angles], each) for path, angles, each in zip(paths, joints, moved, strict=True)]
-    starts = [task.begun(path) for path in paths]
+    starts = [task.begun(path, hindsight=True) for path in paths]
     for t in range(1, max(map(len, paths), default=0)):
         active = [i for i, run in enumerate(runs) if not run.outcome and t < len(paths[i])]
         if active:

@@ -202,9 +202,11 @@ class StartFrame:
         """Return the starts (N, 7) that count from poses (N, 7) on, of paths from ``starts`` (N, 7)."""
         return starts if self.unfolding is None else self.unfolding.onward(poses, starts)
 
-    def begun(self, poses: Array) -> Array:
-        """Return the starts (N, 7) that count at the poses (N, 7) of one path."""
-        return np.repeat(poses[:1], len(poses), axis=0) if self.unfolding is None else self.unfolding.begun(poses)
+    def begun(self, poses: Array, *, hindsight: bool = False) -> Array:
+        """Return the starts (N, 7) that count at the poses (N, 7) of one path; with ``hindsight``, of a whole one."""
+        if self.unfolding is None:
+            return np.repeat(poses[:1], len(poses), axis=0)
+        return self.unfolding.begun(poses, hindsight=hindsight)
 
     def on_last_leg(self, starts: Array) -> np.ndarray:
         """Return whether the leg that began at each of ``starts`` (N, 7) ends at the goal, as booleans (N,)."""

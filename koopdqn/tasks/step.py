@@ -22,9 +22,9 @@ def one_step(poses: Array, wished: Array, goal: Array, room: Array, step: float,
     """Return the poses (N, 7) one step from poses (N, 7) toward wished ones (N, 7), at most as far as there is room.
 
     A step is ``step`` [m] far, or turns by ``turn`` [rad] in place; ``room`` (N,) [m] is what is left up to the goal
-    (7,). Table 1 turns along the geodesic to the goal only, so only that part ω [rad] of the wished turn counts. With a small turn, or a motion toward the goal, the motion is a
-    full step. Otherwise Table 1 turns in place only: motion v [m] and turn are scaled to (v/step)² + (ω/turn)² = 1, so
-    that a larger turn means a shorter motion.
+    (7,). Table 1 turns along the geodesic to the goal only, so only that part ω [rad] of the wished turn counts. With a
+    small turn, or a motion toward the goal, the motion is a full step. Otherwise Table 1 turns in place only: motion v
+    [m] and turn are scaled to (v/step)² + (ω/turn)² = 1, so that a larger turn means a shorter motion.
     """
     quaternion, toward = poses[:, pose.QUATERNION], goal[pose.QUATERNION]
     motion = wished[:, pose.POSITION] - poses[:, pose.POSITION]

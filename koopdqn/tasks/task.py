@@ -142,9 +142,11 @@ class Task(TaskChoice):
         """
         return self.person_frame.onward(poses, starts) if self.unfolds else starts
 
-    def begun(self, poses: Array) -> Array:
-        """Return the starts (N, 7) that count at the poses (N, 7) of one episode."""
-        return self.person_frame.begun(poses) if self.unfolds else np.repeat(poses[:1], len(poses), axis=0)
+    def begun(self, poses: Array, *, hindsight: bool = False) -> Array:
+        """Return the starts (N, 7) that count at poses (N, 7) of one episode; with ``hindsight``, of a whole path."""
+        if not self.unfolds:
+            return np.repeat(poses[:1], len(poses), axis=0)
+        return self.person_frame.begun(poses, hindsight=hindsight)
 
     def legs(self, start: Array) -> Array:
         """Return the starts (K, 7) of all legs of an episode from a start (7,)."""
@@ -317,7 +319,7 @@ class Task(TaskChoice):
         return near
 
     def arrived(self, poses: Array, starts: Array | None) -> np.ndarray:
-        """Return whether poses (N, ..., 7) of episodes that began at ``starts`` (N, 7) end them at the goal, as booleans.
+        """Return whether poses (N, ..., 7) of episodes from ``starts`` (N, 7) end them at the goal, as booleans.
 
         A path that passes itself may come through the goal on its way, and ends there on its last leg alone. Without
         starts the poses are in the start frame already.
@@ -325,7 +327,7 @@ class Task(TaskChoice):
         there = np.asarray(self.reached(poses.reshape(-1, 7)), dtype=bool).reshape(poses.shape[:-1])
         if starts is None or not self.unfolds or not there.any():
             return there
-        return (there.T & self.person_frame.on_last_leg(starts)).T
+        return np.asarray((there.T & self.person_frame.on_last_leg(starts)).T)
 
 
 def angles_in(frame: Array, quaternions: Array) -> Array:

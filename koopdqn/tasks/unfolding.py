@@ -10,6 +10,7 @@ between its passages, and where it turns back; where an episode passes a cut, it
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -64,6 +65,22 @@ class Unfolding:
         aligned = np.array([to_count(rows, count, way_lengths(rows))[:, pose.POSITION] for rows in trajectories])
         spread = float(np.sqrt(((aligned - mean[:, pose.POSITION]) ** 2).sum(axis=2).mean()))
         near = max(_SPREADS * spread, _STEPS * step)
+        found = cls._along(mean, near, by_goal)
+        if found is None or not all(map(found._tells, trajectories)):
+            return None
+        # Aligned leg by leg, places where the path turns back are not cut short.
+        legs = [found._leg(found.begun(rows, hindsight=True)) for rows in trajectories]
+        means = []
+        for leg in range(len(found.cuts) + 1):
+            parts = [rows[on == leg] for rows, on in zip(trajectories, legs, strict=True)]
+            means.append(mean_poses(parts, max(map(len, parts))))
+        again = cls._along(np.concatenate(means), near, by_goal)
+        told = again is not None and len(again.cuts) == len(found.cuts) and all(map(again._tells, trajectories))
+        return again if told else found
+
+    @classmethod
+    def _along(cls, mean: Array, near: float, by_goal: float) -> "Unfolding | None":
+        """Return the unfolding of a path of poses (N, 7), on which what is nearer than ``near`` [m] is one place."""
         length = float(arc_lengths(mean[:, pose.POSITION])[-1])
         path = to_count(mean, min(max(3, round(length / _SPACING_M) + 1), _MOST_POINTS))
         spacing = length / (len(path) - 1)
@@ -83,9 +100,7 @@ class Unfolding:
         away = path[:, pose.POSITION] - path[:, pose.POSITION].mean(axis=0)
         axis = np.linalg.svd(away, full_matrices=False)[2][-1]
         every = np.union1d(cuts, turns)
-        found = cls(path, axis, lifts, every, np.isin(every, turns), np.array(overlap))
-        least = float(np.diff(pairs).min() * spacing)
-        return found if all(found._tells(rows, least) for rows in trajectories) else None
+        return cls(path, axis, lifts, every, np.isin(every, turns), np.array(overlap))
 
     def to_frame(self, poses: Array, starts: Array) -> Array:
         """Return poses (..., 7) of legs that began at ``starts`` (..., 7), lifted."""
@@ -106,16 +121,16 @@ class Unfolding:
         It goes on beyond where the path turns back, and comes back there on the next floor: so all states near the end
         of a leg lead to that end, and none aside.
         """
-        starts = self.begun(poses)
+        starts = self.begun(poses, hindsight=True)
         lifted, legs = self.to_frame(poses, starts), self._leg(starts)
         usual = float(np.median(pose.position_distance(poses[1:], poses[:-1])))
         parts, done = [], 0
-        for row in np.flatnonzero(np.diff(legs) * np.append(self.back, False)[legs[:-1]]):
+        for row in np.flatnonzero(np.diff(legs) * np.append(self.back, False)[legs[:-1]]).tolist():
             above, below = lifted[row], lifted[row + 1]
             out, back = self._beyond[legs[row]]
             corners = [above, self._moved(above, out), self._moved(below, back), below]
             parts.append(lifted[done:row])
-            for corner, following in zip(corners[:-1], corners[1:], strict=True):
+            for corner, following in pairwise(corners):
                 count = max(1, round(float(pose.position_distance(corner, following)) / usual))
                 parts.append(between(corner, following, np.arange(count) / count))
             done = row + 1
@@ -132,21 +147,21 @@ class Unfolding:
         after[passed] = self.starts[legs[passed]]
         return after
 
-    def begun(self, poses: Array) -> Array:
+    def begun(self, poses: Array, *, hindsight: bool = False) -> Array:
         """Return the starts (N, 7) of the legs on which the poses (N, 7) of one path are.
 
-        Of a path that turns back too early, a leg ends where it comes nearest to the place.
+        They are those that :meth:`onward` tells from pose to pose. With ``hindsight``, as of a demonstration, a leg
+        ends where the path itself turns back, a little before the place or beyond.
         """
         starts = np.repeat(poses[:1], len(poses), axis=0)
         row = 0
         for leg, (least, back) in enumerate(zip(self._passed, self.back, strict=True)):
             progress = self._progress(poses[row:], np.full(len(poses) - row, leg))
+            turned = self._turned_back(leg, poses[row:], progress) if hindsight and back else None
             passed = progress >= least
-            if back:
-                passed = _turned_back(progress, least, float(self.overlap))
-            if not passed.any():
+            if turned is None and not passed.any():
                 break
-            row += int(passed.argmax())
+            row += int(passed.argmax()) if turned is None else turned
             starts[row:] = self.starts[leg]
         return starts
 
@@ -186,11 +201,25 @@ class Unfolding:
         whole = cuts.astype(int), back.astype(bool), overlap.astype(int)
         return cls(path.astype(float), axis.astype(float), lifts.astype(float), *whole)
 
-    def _tells(self, poses: Array, least: float) -> bool:
-        """Return whether the poses (N, 7) of one path are on leg after leg, and skip no loop of ``least`` [m]."""
-        legs = self._leg(self.begun(poses))
-        jumps = np.abs(np.diff(self._progress(poses, legs))) * self._spacing
-        return bool(legs[-1] == len(self.cuts) and (jumps < least).all())
+    def _tells(self, poses: Array) -> bool:
+        """Return whether the poses (N, 7) of one path are on leg after leg, and skip no passage."""
+        legs = self._leg(self.begun(poses, hindsight=True))
+        jumps = np.abs(np.diff(self._progress(poses, legs)))
+        return bool(legs[-1] == len(self.cuts) and (jumps < _APART * self.overlap).all())
+
+    def _turned_back(self, leg: int, poses: Array, progress: Array) -> int | None:
+        """Return the row of poses (N, 7) of progress (N,) that is farthest out where they turn back at a leg's end.
+
+        They turn back where they come as near to it as the overlap, and then go back by as much; None if they do not.
+        """
+        far = float(self.overlap)
+        most = np.maximum.accumulate(progress)
+        near = most >= self.cuts[leg] - far
+        back = near & (progress < most - far)
+        if not back.any():
+            return None
+        first, until = int(near.argmax()), int(back.argmax())
+        return first + int((poses[first:until, pose.POSITION] @ self._beyond[leg, 0]).argmax())
 
     def _leg(self, starts: Array) -> np.ndarray:
         """Return the leg (...) that began at each start (..., 7); the first unless that is a cut."""
@@ -238,7 +267,7 @@ class Unfolding:
 
     @cached_property
     def _passed(self) -> Array:
-        """The places (K,) from which on legs have ended: those of the cuts, or just before where the path turns back."""
+        """The places (K,) from which on legs have ended: those of the cuts, or just before where it turns back."""
         return np.asarray(self.cuts - self.back.astype(float))
 
     @cached_property
@@ -263,7 +292,8 @@ def _passages(path: Array, near: float, by_goal: float, spacing: float) -> tuple
     for gap in range(2, len(path)):
         across, within = pose.norm(path[gap:] - path[:-gap]), before[1:-1]
         if gap * spacing > _APART * near:
-            first = np.flatnonzero(across < np.append(np.full(len(across) - 1, near), by_goal))
+            last_one = by_goal if gap * spacing > _APART * by_goal else near
+            first = np.flatnonzero(across < np.append(np.full(len(across) - 1, near), last_one))
             pairs.append(np.stack([first, first + gap], axis=1))
             opens.append(within[first] > _OPENS * near)
         last, before = np.maximum(across, within), last
@@ -285,20 +315,6 @@ def _turns(path: Array, pairs: np.ndarray, overlap: int) -> np.ndarray:
         away = path[first : last + 1] - 0.5 * (path[first] + path[last])
         turns.append(first + int(pose.norm(away).argmax()))
     return np.unique(turns).astype(int)
-
-
-def _turned_back(progress: Array, place: float, overlap: float) -> np.ndarray:
-    """Return whether progress (N,) has come to a place, or as near to it as it comes before it turns back.
-
-    It has turned back where it came within the overlap and has gone back by as much.
-    """
-    most = np.maximum.accumulate(progress)
-    back = (most >= place - overlap) & (progress < most - overlap)
-    until = int(back.argmax()) if back.any() else len(progress)
-    passed = most >= place
-    if until < len(progress) and not passed[:until].any():
-        passed[int(progress[:until].argmax()) :] = True
-    return passed
 
 
 def _cuts(first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
