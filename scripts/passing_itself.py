@@ -35,11 +35,21 @@ SHAPES: Final[dict[str, list[tuple[float, ...]]]] = {
     "loop in space": [(-9, 0, 0), (-3, 0, 1), (2, 2, 2), (2, 6, 4), (-2, 6, 5), (-2, 2, 6), (3, 0, 7), (9, 0, 8)],
     "loop with a turn": [(-9, 0), (-3, 0), (2, 2), (3, 5), (0, 7), (-3, 5), (-2, 2), (3, 0), (9, 0)],
     "straight": [(-8, 0), (-3, 1), (3, 1), (8, 0)],
+    "drawer": [(0, 0), (5, 0), (10, 0), (5, 0), (3, 0)],
+    "hole": [(-6, 5), (-2, 5), (0, 3), (0, -1), (0, -5), (0, -1), (0.3, 3), (3, 6)],
+    "hole with a turn": [(-7, 3), (-2, 4), (0, 1), (0.2, -5), (0, 1), (2, 4), (6, 4)],
+    "four strokes": [(-7, 0), (0, 0.2), (7, 0), (0, -0.2), (-7, 0), (0, 0.2), (7, 0), (0, -0.2), (-5, 0)],
+    "ring": [(0, 0), (4, -1.5), (7, 2), (4, 6), (0, 5), (-2, 2), (0, 0)],
+    "through its goal": [(-9, -2), (-4, -1), (0, 0), (3, 3), (0, 6), (-3, 3), (0, 0)],
+    "cursive ee": [
+        *[(0, 0), (4, 2), (5, 4.5), (4, 6), (3, 4), (4.5, 0.5)],
+        *[(8, 2), (9, 4.5), (8, 6), (7, 4), (8.5, 0.5), (12, 1.5)],
+    ],
 }
 _WIDE_M, _WAVED_M, _COUNT, _POINTS, _SECONDS = 0.2, 0.005, 7, 300, 6.0
 _DOWN: Final = np.array([0.70710678, 0.0, 0.70710678, 0.0])
 _WITH, _WITHOUT = "--unfolded", "--plain"
-_TURNED_RAD: Final = {"loop with a turn": np.radians(60)}
+_TURNED_RAD: Final = {"loop with a turn": np.radians(60), "hole with a turn": np.radians(60)}
 
 
 def drawn(name: str, rng: np.random.Generator) -> Demonstrations:
@@ -62,12 +72,17 @@ def drawn(name: str, rng: np.random.Generator) -> Demonstrations:
     return Demonstrations("drawn", "UR5", items)
 
 
-def learned(demos: Path, folder: Path, seed: int, *, unfolded: bool) -> dict[str, Any]:
-    """Return ``eval.json`` of a training on demonstrations, with its ``train.json``, made if it is not there."""
+def learned(demos: Path, folder: Path, seed: int, *, unfolded: bool) -> dict[str, Any] | None:
+    """Return ``eval.json`` of a training on demonstrations, with its ``train.json``, made if it is not there.
+
+    None if they are refused.
+    """
     run, measured = folder / "train", folder / "eval"
     if not (measured / "eval.json").is_file():
         given = ["task=demonstrated", f"demos={demos}", "task.holdout=1", f"seed={seed}"]
         _command(["train", *given, f"out={run}"], unfolded=unfolded)
+        if not (run / "train.json").is_file():
+            return None
         _command(["eval", f"run={run}", f"out={measured}", "eval.dynamics=false"], unfolded=unfolded)
     report: dict[str, Any] = json.loads((measured / "eval.json").read_text())
     return {**report, "train": json.loads((run / "train.json").read_text())}
@@ -86,13 +101,18 @@ def main(folder: Path, names: list[str]) -> None:
         if not demos.is_file():
             folder.mkdir(parents=True, exist_ok=True)
             write_hdf5(demos, drawn(name, np.random.default_rng([2000, number])))
-        cells = [name]
+        cells, replayed = [name], "–"
         for unfolded in (True, False):
             kept = folder / demos.stem / ("unfolded" if unfolded else "plain")
             report = learned(demos, kept, 2000 + number, unfolded=unfolded)
+            if report is None:
+                cells += ["refused", "–"]
+                continue
             away = report["holdout"]["hausdorff_mm"]
             cells += [f"{100 * report['success_rate']:.0f}", f"{away['policy'][0]:.1f}"]
-            cells += [f"{report['train']['seconds']:.0f}"] if unfolded else [f"{away['nearest_demonstration'][0]:.1f}"]
+            cells += [f"{report['train']['seconds']:.0f}"] if unfolded else []
+            replayed = f"{away['nearest_demonstration'][0]:.1f}"
+        cells.append(replayed)
         print("| " + " | ".join(cells) + " |", flush=True)
 
 
