@@ -221,10 +221,12 @@ def test_inspect_says_what_fit_refuses(
     back = Demonstration(good[3].times, good[3].poses[::-1].copy())
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     circle = np.stack([0.45 + 0.1 * np.cos(angle), 0.1 * np.sin(angle), np.full(200, 0.35)], axis=1)
+    bit = arc()[:10]
     sets = {
         "good": (good, "good", "starts and ends"),
         "back": ([good[0], back, *good[1:]], "bad", "demonstration 1 must end within task.end_spread"),
-        "circle": ([Demonstration(0.02 * np.arange(200.0), pose.make(circle, [1.0, 0, 0, 0]))], "bad", "must start at"),
+        "circle": ([Demonstration(0.02 * np.arange(200.0), pose.make(circle, [1.0, 0, 0, 0]))], "good", "starts and"),
+        "bit": ([Demonstration(0.02 * np.arange(10.0), bit)], "bad", "must start at"),
     }
     for name, (items, state, text) in sets.items():
         write_csv(Path(f"{name}.csv"), items)
