@@ -86,13 +86,13 @@ class Derivation(TaskChoice):
         check_goal_moves_alone(self.goal_half_range_m, self.obstacles)
         return self
 
-    def derive(self, demonstrations: Demonstrations, *, continuous: bool = False) -> Derived:
+    def derive(self, demonstrations: Demonstrations, *, continuous: bool = False, unfolds: bool = True) -> Derived:
         """Return the task of demonstrations.
 
         The last ``holdout`` of them are held out. The others are preprocessed: idle ends trimmed, noise smoothed, and
         bent to end at the goal, the mean of their ends (:mod:`koopdqn.demonstrations.preprocess`). The nominal start is
         that of the demonstration nearest to all; starts are drawn beside all of theirs. What is turned is learned in
-        full where actions are ``continuous``.
+        full where actions are ``continuous``. A path that passes itself is unfolded if the intent ``unfolds`` it.
 
         Raises:
             BadInputError: too many are held out, one does not move, the ends are too far apart, or a start is at the
@@ -115,7 +115,7 @@ class Derivation(TaskChoice):
             preprocess.check_orientation(learned, goal, self.end_spread_rad)
         moved = [_oriented(preprocess.align_goal(item, goal), goal, turning) for item in learned]
         training = Demonstrations(self.name, demonstrations.arm, moved, placement=demonstrations.placement)
-        task = self._task(training, goal, turning, kept)
+        task = self._task(training, goal, turning, kept, unfolds=unfolds)
         notes = (
             _about_recordings(cut, smoothed, kept),
             *_about_jumps([each.item for each in cut[: len(learned)]]),
@@ -160,14 +160,16 @@ class Derivation(TaskChoice):
                     " from: what is measured against it says little"
                 )
 
-    def _task(self, training: Demonstrations, goal: Array, turning: RotationType, kept: int) -> DemonstratedTask:
+    def _task(
+        self, training: Demonstrations, goal: Array, turning: RotationType, kept: int, *, unfolds: bool
+    ) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
         turn = TURNS_PER_STEP * self.rotation_tolerance_rad
         trajectories = to_step([item.poses for item in training.items], step, turn)
         starts = np.array([trajectory[0] for trajectory in trajectories])
         way = pose.position_distance(starts, goal)
         least = LEAST_WAY * self.goal_tolerance_m
-        unfolded = Unfolding.of(trajectories, step, least) is not None
+        unfolded = unfolds and Unfolding.of(trajectories, step, least) is not None
         if not unfolded and way.min() < least:
             raise BadInputError(
                 f"demonstration {int(way.argmin())} must start at least {least:g} m from"
@@ -177,7 +179,7 @@ class Derivation(TaskChoice):
         start = middle[0]
         # A closed path is one by what lies between its ends.
         away = np.minimum(pose.position_distance(middle, start), pose.position_distance(middle, goal))
-        between = [middle[away.argmax()]] if unfolded else []
+        between = [middle[away.argmax()]] if way.min() < least else []
         half = np.abs(starts - start)[:, pose.POSITION].max(axis=0) + self.start_margin_m
         follows = not unfolded and StartFrame.chosen(trajectories, start, goal).follows
         return DemonstratedTask.shown(
@@ -285,8 +287,8 @@ def _about_passages(task: DemonstratedTask) -> list[str]:
         return []
     legs = len(unfolding.cuts) + 1
     return [
-        f"the path passes itself: it has {legs} legs, intent=pose learns all of them, and which one a pose is on is"
-        " known from where it was"
+        f"the path passes itself: it has {legs} legs, all of them are learned, and which one a pose is on is known from"
+        " where it was"
     ]
 
 

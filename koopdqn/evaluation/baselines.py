@@ -178,7 +178,7 @@ def baseline_episodes(
 
     def mean_path(start: Array) -> Array:
         # People who follow their start begin there; the others go to where the mean begins.
-        path = frame.from_frame(mean, start[None], mean)
+        path = frame.laid(mean, start)
         return np.concatenate([straight_path(start, path[0], task), path[1:]])
 
     yield "straight_line", followed(lambda start: straight_path(start, task.goal, task))

@@ -133,7 +133,8 @@ def sixty_samples(
 ) -> tuple[dict[str, float | None] | None, list[Array]]:
     """Return a summary of the held-out one-step errors at the paper's sampling, and the errors themselves.
 
-    The errors are (59, 2) [m, rad] for each demonstration. Both are empty for a single demonstration.
+    The errors are (N, 2) [m, rad] for each demonstration, N = 59 unless its path is unfolded. Both are empty for a
+    single demonstration.
     """
     if len(demonstrations) == 1:
         return None, []
@@ -185,7 +186,7 @@ class Fitted:
         report: the content of ``fit.json``.
         folds: of the cross-validation, one for each demonstration; none for a single one.
         contained: (N,) for each fold, whether the trust domain of the others contains each pose.
-        sixty: (59, 2) [m, rad] for each fold, its errors at the paper's sampling.
+        sixty: (N, 2) [m, rad] for each fold, its errors at the paper's sampling.
     """
 
     model: IntentModel

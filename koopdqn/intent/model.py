@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ class IntentSettings(Settings, ABC):
     """How an intent model is fitted; a new kind of model is a subclass and a YAML file."""
 
     name: Name
+    unfolds: ClassVar[bool] = False
+    """Whether it learns all passages of a path that passes itself; if not, the last one alone."""
 
     @abstractmethod
     def fit(self, trajectories: list[Array], task: Task) -> "IntentModel":

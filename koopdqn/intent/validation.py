@@ -13,6 +13,7 @@ from koopdqn.paths import arc_lengths, mean_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import excess, legal_actions, reached_poses, within_tolerance
 from koopdqn.tasks.person import Expert, ReferencePath
+from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.step import IN_PLACE
 from koopdqn.tasks.task import Task
 
@@ -232,8 +233,9 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
         starts[:] = model.start_frame.onward(poses, starts)
         return model.to_step(poses, model.intended(poses, starts), task.step_m, starts)
 
-    there, far = _arrives(in_frame, demonstrated, task, limit), _arrives(from_starts, wide, task, limit)
-    region = np.concatenate([there, _arrives(from_starts, drawn, task, limit)])
+    there = _arrives(in_frame, demonstrated, task, STILL, limit)
+    far, near = (_arrives(from_starts, starts, task, model.start_frame, limit) for starts in (wide, drawn))
+    region = np.concatenate([there, near])
     return float(region.mean()), float(far.mean())
 
 
@@ -250,18 +252,20 @@ def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Genera
     return pose.make(states[:, pose.POSITION] + size[:, None] * direction, states[:, pose.QUATERNION])
 
 
-def _arrives(move: Callable[[Array, Array], Array], starts: Array, task: Task, limit: int) -> np.ndarray:
+def _arrives(
+    move: Callable[[Array, Array], Array], starts: Array, task: Task, frame: StartFrame, limit: int
+) -> np.ndarray:
     """Return whether the roll-out from each start (N, 7) reaches the goal in ``limit`` steps and stays, (N,).
 
     ``move`` gives the next poses (N, 7) of poses (N, 7) of roll-outs from starts (N, 7), and sets the starts that count
-    from there on.
+    from there on; the frame says whether their leg ends at the goal.
     """
     arrived = np.zeros(len(starts), dtype=bool)
     under_way, poses, begun = np.arange(len(starts)), starts, starts.copy()
     ends, starts = starts.copy(), starts.copy()
     for _ in range(limit):
         poses = move(poses, begun)
-        there = _at_goal(poses, task)
+        there = _at_goal(poses, task) & frame.on_last_leg(begun)
         arrived[under_way[there]] = True
         ends[under_way[there]], starts[under_way[there]] = poses[there], begun[there]
         under_way, poses, begun = under_way[~there], poses[~there], begun[~there]

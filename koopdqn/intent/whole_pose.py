@@ -6,6 +6,7 @@ predicted from the position, a tool that lags behind in its turn is told to turn
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -41,6 +42,8 @@ class FeaturesOfPlace(Observables):
 
 class WholePoseSettings(IntentSettings):
     """How one K is fitted to positions and orientations together."""
+
+    unfolds: ClassVar[bool] = True
 
     count: int = Field(ge=1, le=5000, description="random Fourier features of the position")
     length_scales: Interval = Field(description="narrowest and widest kernel, in units of the demonstrations' spread")

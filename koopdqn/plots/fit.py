@@ -17,6 +17,7 @@ from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
 from koopdqn.plots import style
 from koopdqn.pose import Array
+from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1060
@@ -57,8 +58,9 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
         frame = fitted.model.start_frame
-        rollouts = [frame.folded(path) for path in _roll_outs(fitted, trajectories, task)]
-        shown = [frame.folded(trajectory[:, pose.POSITION]) for trajectory in trajectories]
+        rollouts, shown = (
+            [_drawn(path, frame) for path in paths] for paths in (_roll_outs(fitted, trajectories, task), trajectories)
+        )
         trust = fitted.trust.drawn(frame)
         planes = style.two_planes(shown)
         for place, plane in zip((grid[row, :2], grid[row, 2:4]), planes, strict=True):
@@ -148,11 +150,16 @@ def _eigenvalues(axes: Axes, fitted: Fitted) -> None:
 
 
 def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Array]:
-    """Return the positions (T, 3) of the intent followed from each demonstration's start, until it rests."""
+    """Return the poses (T, 7) of the intent followed from each demonstration's start, until it rests."""
     starts = np.array([trajectory[0] for trajectory in trajectories])
     steps = 2 * max(len(trajectory) for trajectory in trajectories)
-    poses = fitted.model.roll_out(starts, steps, task.step_m)[..., pose.POSITION]
+    poses = fitted.model.roll_out(starts, steps, task.step_m)
     return [poses[:, i] for i in range(len(trajectories))]
+
+
+def _drawn(path: Array, frame: StartFrame) -> Array:
+    """Return the positions (N, 3) of a path of the start frame as it is drawn there: an unfolded one where it lies."""
+    return (path if frame.unfolding is None else frame.unfolding.laid(path))[:, pose.POSITION]
 
 
 def _tube(axes: Axes, trust: TrustDomain, plane: str) -> Array:

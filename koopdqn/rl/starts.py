@@ -114,7 +114,7 @@ class StartSampler:
         task = self.workcell.task
         if not task.unfolds:
             return [None] * len(self.trajectories)
-        return [task.begun(self.frame.from_frame(rows, rows[:1], rows)) for rows in self.trajectories]
+        return [task.begun(self.frame.from_frame(rows, rows[:1], rows), hindsight=True) for rows in self.trajectories]
 
 
 def _turned(quaternion: Array, task: Task, spread: float, rng: np.random.Generator) -> Array:

@@ -57,6 +57,7 @@ class DemonstratedTask(Task):
     training: Sha256 = Field(description="SHA-256 of the training demonstrations' content")
 
     _trajectories: tuple[Array, ...] = PrivateAttr(default=())
+    _unfolding: Unfolding | None = PrivateAttr(default=None)
 
     @classmethod
     def shown(cls, trajectories: list[Array], **fields: object) -> "DemonstratedTask":
@@ -67,10 +68,13 @@ class DemonstratedTask(Task):
         """
         return cls.model_validate(fields).showing(trajectories)
 
-    def showing(self, trajectories: list[Array]) -> Self:
-        """Return the task, as read from an artifact, with training trajectories (N, 7) at the agent's step."""
+    def showing(self, trajectories: list[Array], unfolding: Unfolding | None = None) -> Self:
+        """Return the task, as read from an artifact, with training trajectories (N, 7) at the agent's step.
+
+        An unfolding that an artifact holds counts, not what would be found today.
+        """
         task = self.model_copy()
-        task._trajectories = tuple(trajectories)
+        task._trajectories, task._unfolding = tuple(trajectories), unfolding
         return task
 
     @property
@@ -131,8 +135,9 @@ class DemonstratedTask(Task):
         """The start frame, chosen by leaving one demonstration out at a time."""
         if self.follows_start:
             return StartFrame.following(self.trajectories, self.nominal_start, self.goal)
-        by_goal = LEAST_WAY * self.goal_tolerance_m
-        unfolding = Unfolding.of(self.trajectories, self.step_m, by_goal) if self.passes_itself else None
+        unfolding = self._unfolding
+        if self.passes_itself and unfolding is None:
+            unfolding = Unfolding.of(self.trajectories, self.step_m, LEAST_WAY * self.goal_tolerance_m)
         start, goal = self.nominal_start[pose.POSITION], self.goal[pose.POSITION]
         return StartFrame(start, goal, follows=False, unfolding=unfolding)
 

@@ -214,7 +214,14 @@ class StartFrame:
 
     def along(self, poses: Array) -> Array:
         """Return the poses (N, 7) of one path in the frame."""
-        return self.to_frame(poses, poses[:1] if self.unfolding is None else self.begun(poses))
+        return self.to_frame(poses, poses[:1] if self.unfolding is None else self.begun(poses, hindsight=True))
+
+    def laid(self, path: Array, start: Array) -> Array:
+        """Return poses (N, 7) of a path of the frame where they lie, from a start (7,) on.
+
+        What leads from floor to floor of an unfolded path is left out.
+        """
+        return self.from_frame(path, start[None], path) if self.unfolding is None else self.unfolding.laid(path)
 
     def folded(self, positions: Array) -> Array:
         """Return positions (N, 3) [m] of the frame for pictures: where they lie, told as from the nominal start."""

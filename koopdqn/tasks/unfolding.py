@@ -17,13 +17,12 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.paths import arc_lengths, between, mean_poses, to_count, way_lengths
 from koopdqn.pose import Array
+from koopdqn.tasks.passages import APART, cuts_between, passages, turns_of
 
 # Distance of the path's points [m], more where they would be more than so many.
 _SPACING_M, _MOST_POINTS = 0.002, 1500
-# Two passages are one place if nearer together than so many spreads of the demonstrations, and than so many steps. They
-# are two if the path between them is so many times longer; if it does not open so many times farther on its way, it
-# turns back between them.
-_SPREADS, _STEPS, _APART, _OPENS = 2.0, 4.0, 3.0, 2.0
+# Two passages are one place if nearer together than so many spreads of the demonstrations, and than so many steps.
+_SPREADS, _STEPS = 2.0, 4.0
 # Each passage is lifted above the next by so many of that distance, where that is no steeper than this [m/m].
 _LIFTED, _STEEPEST = 3.0, 0.5
 # Iterations of the inverse.
@@ -56,7 +55,7 @@ class Unfolding:
     def of(cls, trajectories: Sequence[Array], step: float, by_goal: float) -> "Unfolding | None":
         """Return the unfolding of trajectories (N, 7) with steps of ``step`` [m].
 
-        What comes nearer to the goal than ``by_goal`` [m] counts as a passage of it.
+        A path that begins nearer to the goal than ``by_goal`` [m] is closed, and passes itself there.
 
         None if their mean does not pass itself, or if they are too far from it to tell which passage they are on.
         """
@@ -84,14 +83,14 @@ class Unfolding:
         length = float(arc_lengths(mean[:, pose.POSITION])[-1])
         path = to_count(mean, min(max(3, round(length / _SPACING_M) + 1), _MOST_POINTS))
         spacing = length / (len(path) - 1)
-        pairs, opened = _passages(path[:, pose.POSITION], near, max(near, by_goal), spacing)
+        pairs, opened = passages(path[:, pose.POSITION], near, by_goal, spacing)
         if not len(pairs):
             return None
         overlap = max(1, round(near / spacing))
-        turns = _turns(path[:, pose.POSITION], pairs[~opened], overlap)
+        turns = turns_of(path[:, pose.POSITION], pairs[~opened], overlap)
         # Passages between which the path turns back are on two floors already.
         around = pairs[np.searchsorted(turns, pairs[:, 0]) == np.searchsorted(turns, pairs[:, 1])]
-        cuts = _cuts(around[:, 0] + overlap + 1, around[:, 1] - overlap - 1)
+        cuts = cuts_between(around[:, 0] + overlap + 1, around[:, 1] - overlap - 1)
         if cuts is None:
             return None
         way = spacing * np.arange(len(path))[::-1]
@@ -100,6 +99,9 @@ class Unfolding:
         away = path[:, pose.POSITION] - path[:, pose.POSITION].mean(axis=0)
         axis = np.linalg.svd(away, full_matrices=False)[2][-1]
         every = np.union1d(cuts, turns)
+        # A leg that is over before it can be told from its neighbours is none.
+        if np.diff([0, *every, len(path) - 1]).min() <= overlap:
+            return None
         return cls(path, axis, lifts, every, np.isin(every, turns), np.array(overlap))
 
     def to_frame(self, poses: Array, starts: Array) -> Array:
@@ -116,14 +118,13 @@ class Unfolding:
         return self._moved(local, -self._lift(place))
 
     def whole(self, poses: Array) -> Array:
-        """Return the poses (N, 7) of one path, lifted, and between them (M, 7) what leads from floor to floor.
+        """Return the poses (N, 7) of one path, lifted, with what leads from floor to floor between them, (M, 7) in all.
 
         It goes on beyond where the path turns back, and comes back there on the next floor: so all states near the end
         of a leg lead to that end, and none aside.
         """
         starts = self.begun(poses, hindsight=True)
         lifted, legs = self.to_frame(poses, starts), self._leg(starts)
-        usual = float(np.median(pose.position_distance(poses[1:], poses[:-1])))
         parts, done = [], 0
         for row in np.flatnonzero(np.diff(legs) * np.append(self.back, False)[legs[:-1]]).tolist():
             above, below = lifted[row], lifted[row + 1]
@@ -131,10 +132,17 @@ class Unfolding:
             corners = [above, self._moved(above, out), self._moved(below, back), below]
             parts.append(lifted[done:row])
             for corner, following in pairwise(corners):
-                count = max(1, round(float(pose.position_distance(corner, following)) / usual))
+                count = max(1, round(float(pose.position_distance(corner, following)) / self._spacing))
                 parts.append(between(corner, following, np.arange(count) / count))
             done = row + 1
         return np.concatenate([*parts, lifted[done:]])
+
+    def laid(self, whole: Array) -> Array:
+        """Return the poses (N, 7) of which :meth:`whole` gives these (M, 7), or of a path like them."""
+        place = _nearest(whole[:, pose.POSITION], self._lifted)
+        turns = self.cuts[self.back]
+        between = ((place[:, None] >= turns) & (place[:, None] <= turns + 1)).any(axis=1)
+        return self.from_frame(whole[~between])
 
     def onward(self, poses: Array, starts: Array) -> Array:
         """Return the starts (N, 7) of the legs on which poses (N, 7) are, of legs that began at ``starts`` (N, 7)."""
@@ -154,15 +162,16 @@ class Unfolding:
         ends where the path itself turns back, a little before the place or beyond.
         """
         starts = np.repeat(poses[:1], len(poses), axis=0)
-        row = 0
+        row = 1
         for leg, (least, back) in enumerate(zip(self._passed, self.back, strict=True)):
-            progress = self._progress(poses[row:], np.full(len(poses) - row, leg))
+            progress = self._progress(poses[row:], np.full(len(poses[row:]), leg))
             turned = self._turned_back(leg, poses[row:], progress) if hindsight and back else None
             passed = progress >= least
             if turned is None and not passed.any():
                 break
             row += int(passed.argmax()) if turned is None else turned
             starts[row:] = self.starts[leg]
+            row += 1
         return starts
 
     def on_last_leg(self, starts: Array) -> np.ndarray:
@@ -176,8 +185,9 @@ class Unfolding:
         return self._moved(self.path[self.cuts], hair)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the unfolding as arrays."""
-        return {f"unfolding_{each.name}": np.asarray(getattr(self, each.name)) for each in fields(self)}
+        """Return the unfolding as arrays; of a path that nowhere turns back without :attr:`back`."""
+        names = [each.name for each in fields(self) if each.name != "back" or self.back.any()]
+        return {f"unfolding_{name}": np.asarray(getattr(self, name)) for name in names}
 
     @classmethod
     def restore(cls, held: Mapping[str, np.ndarray]) -> "Unfolding | None":
@@ -205,7 +215,7 @@ class Unfolding:
         """Return whether the poses (N, 7) of one path are on leg after leg, and skip no passage."""
         legs = self._leg(self.begun(poses, hindsight=True))
         jumps = np.abs(np.diff(self._progress(poses, legs)))
-        return bool(legs[-1] == len(self.cuts) and (jumps < _APART * self.overlap).all())
+        return bool(legs[-1] == len(self.cuts) and (jumps < APART * self.overlap).all())
 
     def _turned_back(self, leg: int, poses: Array, progress: Array) -> int | None:
         """Return the row of poses (N, 7) of progress (N,) that is farthest out where they turn back at a leg's end.
@@ -278,59 +288,6 @@ class Unfolding:
     def _lifted(self) -> Array:
         """The path's positions (P, 3) [m], lifted."""
         return np.asarray(self.path[:, pose.POSITION] + self.lifts[:, None] * self.axis)
-
-
-def _passages(path: Array, near: float, by_goal: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs (M, 2) of places of a path (P, 3) [m] that are one place, by the second of them.
-
-    They are nearer together than ``near``, or the second is the goal and the first nearer to it than ``by_goal`` [m].
-    Returned too is of each (M,) whether the path opens between the two. Where it does not it turns back.
-    """
-    pairs, opens = [np.empty((0, 2), dtype=int)], [np.empty(0, dtype=bool)]
-    # By how far the path between two places opens that are one and two points nearer together along it.
-    last, before = pose.norm(path[1:] - path[:-1]), np.zeros(len(path))
-    for gap in range(2, len(path)):
-        across, within = pose.norm(path[gap:] - path[:-gap]), before[1:-1]
-        if gap * spacing > _APART * near:
-            last_one = by_goal if gap * spacing > _APART * by_goal else near
-            first = np.flatnonzero(across < np.append(np.full(len(across) - 1, near), last_one))
-            pairs.append(np.stack([first, first + gap], axis=1))
-            opens.append(within[first] > _OPENS * near)
-        last, before = np.maximum(across, within), last
-    found = np.concatenate(pairs)
-    order = np.argsort(found[:, 1], kind="stable")
-    return found[order], np.concatenate(opens)[order]
-
-
-def _turns(path: Array, pairs: np.ndarray, overlap: int) -> np.ndarray:
-    """Return the places (K,) at which a path (P, 3) turns back, in order, of pairs (M, 2) before and after them.
-
-    The pairs about one place have their middle there, up to the overlap; it is what is farthest from the innermost.
-    """
-    turns = []
-    middle = pairs.sum(axis=1)
-    order = np.argsort(middle, kind="stable")
-    for group in np.split(pairs[order], np.flatnonzero(np.diff(middle[order]) > 2 * overlap) + 1) if len(pairs) else []:
-        first, last = group[np.diff(group).argmin()]
-        away = path[first : last + 1] - 0.5 * (path[first] + path[last])
-        turns.append(first + int(pose.norm(away).argmax()))
-    return np.unique(turns).astype(int)
-
-
-def _cuts(first: np.ndarray, last: np.ndarray) -> np.ndarray | None:
-    """Return as few places (K,) as can be, one at least from ``first`` (M,) to ``last`` (M,); None if one is empty."""
-    if (first > last).any():
-        return None
-    cuts: list[int] = []
-    spans = list(zip(first.tolist(), last.tolist(), strict=True))
-    low, high = spans[0] if spans else (0, -1)
-    for begin, end in spans[1:]:
-        if begin <= high:
-            low = max(low, begin)
-        else:
-            cuts.append((low + high) // 2)
-            low, high = begin, end
-    return np.array([*cuts, (low + high) // 2] if spans else cuts, dtype=int)
 
 
 def _nearest(positions: Array, path: Array) -> Array:

@@ -108,7 +108,7 @@ def _ending(episode: Episode, task: Task) -> tuple[int, str]:
     if episode.outcome == STUCK:
         return max(last - 1, 0), "this action leaves the pose as it is, and would for ever"
     if episode.outcome == STEP_LIMIT:
-        places = np.round(episode.poses / _SAME).astype(np.int64)
+        places = np.round(np.concatenate([episode.poses, task.begun(episode.poses)], axis=1) / _SAME).astype(np.int64)
         _, first, number = np.unique(places, axis=0, return_index=True, return_inverse=True)
         again = np.flatnonzero(first[number.ravel()] < np.arange(len(places)))
         if len(again):

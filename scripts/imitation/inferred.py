@@ -78,5 +78,5 @@ def demonstrated_transitions(trajectories: list[Array], task: Task, frame: Start
 
 def _end(trajectory: Array, task: Task) -> int:
     """Return the index of a trajectory's first pose after its start that counts as the goal, or else of its last."""
-    reached = np.flatnonzero(task.reached(trajectory[1:]))
+    reached = np.flatnonzero(task.arrived(trajectory[1:], task.begun(trajectory, hindsight=True)[:-1]))
     return int(reached[0]) + 1 if len(reached) else len(trajectory) - 1

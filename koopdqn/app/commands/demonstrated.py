@@ -47,11 +47,12 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
         # Not in a run's own copy: what it was made from must stay what it is.
         read = _sound(recipe, read)
     read = replace(read, held_out=recipe.kept_of(len(read)))
-    derived = recipe.derive(read, continuous=config.agent.continuous)
+    learning = {"continuous": config.agent.continuous, "unfolds": config.intent.unfolds}
+    derived = recipe.derive(read, **learning)
     if recipe.place == "auto" and read.placement is None:
         trajectories = [*derived.task.trajectories, *_held_out_as_task(derived)]
         read = find_placement(_arm_in(config, derived.task), trajectories).moved(read)
-        derived = recipe.derive(read, continuous=config.agent.continuous)
+        derived = recipe.derive(read, **learning)
     if read.placement is not None:
         console.note(f"task {recipe.name}: demonstrations {read.placement}")
     if kept is not None:

@@ -94,10 +94,9 @@ def _held_out_rows(config: Configuration, fitted: Fitted) -> list[tuple[str, str
         return []
     ends, apart = [], []
     for path in aside:
-        begun = config.task.as_held(path[:1])
-        placed = fitted.model.start_frame.to_frame(begun, begun)
-        rolled = fitted.model.roll_out(placed, 2 * len(path), config.task.step_m)[:, 0]
-        rolled = fitted.model.start_frame.from_frame(rolled, begun, rolled)
+        begun, frame = config.task.as_held(path[:1]), fitted.model.start_frame
+        rolled = fitted.model.roll_out(frame.to_frame(begun, begun), 2 * len(path), config.task.step_m)[:, 0]
+        rolled = frame.laid(rolled, begun[0])
         ends.append(bool(config.task.reached(rolled[-1:])[0]))
         apart.append(hausdorff_mm(rolled, path))
     return [

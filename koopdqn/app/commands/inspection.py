@@ -82,7 +82,7 @@ def _refused(config: Configuration, demonstrations: Demonstrations) -> str:
     try:
         if isinstance(config.chosen, Derivation):
             recipe = config.chosen.model_copy(update={"holdout": 0})
-            recipe.derive(demonstrations, continuous=config.agent.continuous)
+            recipe.derive(demonstrations, continuous=config.agent.continuous, unfolds=config.intent.unfolds)
         else:
             check_shown(demonstrations, config.task)
     except BadInputError as error:

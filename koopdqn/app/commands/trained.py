@@ -29,6 +29,7 @@ from koopdqn.run_folder import CHECKPOINT, INTENT, POLICY, TRAINING
 from koopdqn.settings import load_settings, shown
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
+from koopdqn.tasks.unfolding import Unfolding
 from koopdqn.tasks.workcell import Workcell
 
 _LONGEST = 1_000_000
@@ -103,7 +104,8 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         BadInputError: the file is missing, damaged, or holds what this release does not know.
     """
     policy = run / POLICY
-    about = read_artifact(policy, "policy").about
+    artifact = read_artifact(policy, "policy")
+    about = artifact.about
     taken = "continuous" if "actions" in about else "table1"
     if taken != config.inputs.actions:
         raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {config.inputs.actions}")
@@ -111,11 +113,14 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         task = load_settings(about["task"], Task, "task")
         robot = recorded_arm(about["robot"], config.robot)
         reward = load_settings(about["reward"], RewardSettings, "reward")
+        unfolding = Unfolding.restore(below(artifact.arrays, "frame/"))
     if not task.obstacles:
         # They may be added to any task.
         task = task.model_copy(update={"obstacles": config.task.obstacles})
     trained: dict[str, Any] = {"task": task, "robot": robot, "reward": reward}
     changed = [name for name, each in trained.items() if described(each) != described(getattr(config, name))]
+    if unfolding is not None and "task" not in changed:
+        config = _shown_as_trained(config, task, unfolding)
     if not changed:
         return config
     recorded = composed(prepare("eval", [f"run={run}"]).overrides)
@@ -127,10 +132,17 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         console.note(f"{name}: as in the run, from which today's defaults differ")
     if "task" in own and config.derived is None:
         config = replace(config, chosen=task)
-    elif "task" in own and config.derived is not None and isinstance(task, DemonstratedTask):
-        task = task.showing(agent_steps(config.derived.training, task))
-        config = replace(config, derived=replace(config.derived, task=task))
+    elif "task" in own:
+        config = _shown_as_trained(config, task, unfolding)
     return replace(config, **{name: trained[name] for name in own if name != "task"})
+
+
+def _shown_as_trained(config: Configuration, task: Task, unfolding: Unfolding | None) -> Configuration:
+    """Return a config with a task as its run was trained with it, shown by the config's demonstrations."""
+    if config.derived is None or not isinstance(task, DemonstratedTask):
+        return config
+    task = task.showing(agent_steps(config.derived.training, task), unfolding)
+    return replace(config, derived=replace(config.derived, task=task))
 
 
 def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:
