@@ -1,16 +1,37 @@
 """Paths that turn back, close or come through their goal: every passage is a leg, and the last one ends at the goal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers_shelf import PARTS
 from helpers_shown import derivation, recorded, shown
-from helpers_unfolding import STEP, all_the_way, circle, one_by_one, person_of, shaped, shapes, strokes, unfolded
+from helpers_unfolding import (
+    BY_GOAL,
+    STEP,
+    all_the_way,
+    circle,
+    one_by_one,
+    person_of,
+    shaped,
+    shapes,
+    strokes,
+    unfolded,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parts import load_parts
 from scipy.spatial import KDTree
 
 from koopdqn import pose
+from koopdqn.artifact import described
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.intent.fit import fit
 from koopdqn.paths import hausdorff, to_step
+from koopdqn.settings import load_settings
+from koopdqn.tasks.demonstrated import DemonstratedTask
+from koopdqn.tasks.task import Task
+from koopdqn.tasks.unfolding import Unfolding
 
 
 @pytest.mark.parametrize(("name", "cuts"), [("there and back", [0.2]), ("there and back twice", [0.2, 0.0, 0.2])])
@@ -52,6 +73,86 @@ def test_a_leg_ends_where_the_path_turns_back_and_not_before() -> None:
         assert (one_by_one(found, whole) == whole[0]).all() == (turn < tip)
         begun = found.begun(whole, hindsight=True)
         assert int((begun == whole[0]).all(axis=1).sum()) == int(whole[:, 1].argmax())
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.lists(st.floats(0.01, 0.12), min_size=2, max_size=9),
+    st.integers(1, 3),
+    st.sampled_from([0.001, 0.0021]),
+    st.floats(0.0, 0.006),
+)
+def test_whatever_the_strokes_legs_are_told_alike_and_lead_to_the_goal(
+    lengths: list[float], count: int, step: float, wave: float
+) -> None:
+    corners = np.cumsum([0.0, *(length * (-1) ** k for k, length in enumerate(lengths))])
+    paths = to_step([strokes(*corners, phase=k, wave=wave) for k in range(count)], step, 0.1)
+    found = Unfolding.of(paths, step, BY_GOAL)
+    if found is None:
+        return
+    assert found.lifts[-1] == 0.0
+    for rows in paths:
+        assert found.on_last_leg(found.begun(rows, hindsight=True)[-1:])[0]
+        assert (one_by_one(found, rows) == found.begun(rows)).all()
+        whole = found.whole(rows)
+        wide = 0.002 * found.overlap
+        assert pose.position_distance(whole[1:], whole[:-1]).max() < 2.0 * wide
+        # What leads from floor to floor is no part of where the path lies.
+        laid = found.laid(whole)
+        assert KDTree(rows[:, :3]).query(laid[:, :3])[0].max() < 2.0 * wide
+        assert KDTree(laid[:, :3]).query(rows[:, :3])[0].max() < 2.0 * wide
+
+
+def test_a_tip_circled_by_less_than_can_be_told_is_no_passage() -> None:
+    angle = np.linspace(0.0, 4.0 * np.pi, 200)
+    rows = strokes(-0.15, 0.0)
+    circles = np.repeat(rows[-1:], 200, axis=0)
+    circles[:, 1:3] += 0.0035 * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
+    assert unfolded([np.concatenate([rows, circles])]) is None
+
+
+def test_samples_that_turn_on_the_spot_do_not_make_floors_endless() -> None:
+    rows = strokes(0.0, 0.15, 0.05)
+    turn = pose.from_rotation_vector(np.linspace(0.0, 1.5, 300)[:, None] * [1.0, 0.0, 0.0])
+    spot = pose.make(np.repeat(rows[:1, :3], 300, axis=0), pose.multiply(rows[:1, 3:], turn[::-1]))
+    found = unfolded([np.concatenate([spot, rows])])
+    assert found is not None
+    (path,) = to_step([np.concatenate([spot, rows])], STEP, 0.005)
+    assert len(found.whole(path)) < len(path) + 60
+
+
+def test_a_hook_at_the_end_that_touches_nothing_is_no_passage() -> None:
+    angle = np.linspace(0.0, 1.5 * np.pi, 100)
+    rows = strokes(-0.2, 0.0)
+    hook = np.repeat(rows[-1:], 100, axis=0)
+    hook[:, 1:3] += 0.012 * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
+    assert unfolded([np.concatenate([rows, hook])]) is None
+
+
+def test_an_intent_that_does_not_unfold_is_asked_for_a_task_that_does_not() -> None:
+    demonstrations = shown(*map(recorded, shapes()["there and back"]))
+    assert derivation(holdout=0).derive(demonstrations, unfolds=load_parts("intent=pose").intent.unfolds).task.unfolds
+    plain = derivation(holdout=0).derive(demonstrations, unfolds=load_parts("intent=fourier").intent.unfolds).task
+    assert not plain.unfolds
+    assert plain.arrived(plain.goal[None], plain.nominal_start[None])[0]
+
+
+def test_the_unfolding_that_a_run_holds_counts() -> None:
+    made = shaped("there and back")
+    own = made.person_frame.unfolding
+    assert own is not None
+    other = replace(own, cuts=own.cuts - 1)
+    fresh = load_settings(described(made), Task, "task")
+    assert isinstance(fresh, DemonstratedTask)
+    assert fresh.showing(list(made.trajectories), other).person_frame.unfolding is other
+    assert (made.legs(made.nominal_start)[1] == own.starts[0]).all()
+
+
+def test_the_model_of_a_path_through_its_goal_converges() -> None:
+    made = derivation(holdout=0).derive(shown(*map(recorded, shapes()["through the goal"])))
+    report = fit(made.training, made.task, PARTS.intent, PARTS.trust, PARTS.reward).report
+    assert report["converging_share"] == 1.0
+    assert report["length_ratio"] == pytest.approx(1.0, abs=0.1)
 
 
 def test_legs_of_one_place_begin_a_hair_apart() -> None:

@@ -86,9 +86,10 @@ class Box(TrustDomain):
 
     def drawn(self, frame: StartFrame) -> Self:
         """Return the boxes for pictures, with their places where they lie."""
-        mean = self.mean.copy()
-        mean[:, pose.POSITION] = frame.folded(mean[:, pose.POSITION])
-        return replace(super().drawn(frame), mean=mean)
+        kept = ~frame.between_floors(self.mean[:, pose.POSITION])
+        held = {name: getattr(self, name)[kept] for name in ("mean", "deviation", "right", "doubt")}
+        held["mean"][:, pose.POSITION] = frame.folded(held["mean"][:, pose.POSITION])
+        return replace(super().drawn(frame), **held)
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether a box (with matching by step, that of their step) contains poses (N, 7), and its doubt."""

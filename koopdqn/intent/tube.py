@@ -177,9 +177,10 @@ class Tube(TrustDomain):
 
     def drawn(self, frame: StartFrame) -> Self:
         """Return the tube for pictures, with its places where they lie."""
-        middle = self.middle.copy()
-        middle[:, pose.POSITION] = frame.folded(middle[:, pose.POSITION])
-        return replace(super().drawn(frame), middle=middle)
+        kept = ~frame.between_floors(self.middle[:, pose.POSITION])
+        held = {name: getattr(self, name)[kept] for name in ("middle", "radius", "spread", "right", "doubt")}
+        held["middle"][:, pose.POSITION] = frame.folded(held["middle"][:, pose.POSITION])
+        return replace(super().drawn(frame), **held)
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the tube contains poses (N, 7), and the nearest place's doubt; steps do not matter."""

@@ -197,14 +197,14 @@ def steady(joints: Array, forward: Forward, limits: Limits) -> tuple[float, floa
     """Return the speed [m/s] and acceleration [m/s²] of the flange that keep the limits anywhere on rows (M, 6).
 
     Raises:
-        WorkFailedError: the path turns in place somewhere.
+        WorkFailedError: the path turns in place, or back, somewhere.
     """
     path = _Path(joints, forward, limits)
     if path.tool.min() < _TURNING * path.tool.max():
         row = int(path.grid[path.tool.argmin()])
         raise WorkFailedError(
-            f"movep needs a path that moves everywhere, found it turning in place after {row} of {len(joints) - 1}"
-            " steps: program.urscript=servoj writes it"
+            f"movep needs a path that stops nowhere, found it turning in place, or back, after {row} of"
+            f" {len(joints) - 1} steps: program.urscript=servoj writes it"
         )
     return float((path.ceiling * path.tool).min()), float((path.acceleration * path.tool).min())
 

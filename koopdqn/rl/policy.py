@@ -66,7 +66,8 @@ class Policy:
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7).
 
-        They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6).
+        They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6). Where a path passes itself starts
+        change on the way: ``frame.onward`` gives those that count from a pose on.
 
         Raises:
             BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.

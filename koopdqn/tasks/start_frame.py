@@ -223,6 +223,11 @@ class StartFrame:
         """
         return self.from_frame(path, start[None], path) if self.unfolding is None else self.unfolding.laid(path)
 
+    def between_floors(self, positions: Array) -> np.ndarray:
+        """Return whether positions (N, 3) [m] of the frame lead from floor to floor of an unfolded path, as (N,)."""
+        none = np.zeros(len(positions), dtype=bool)
+        return none if self.unfolding is None else self.unfolding.between_floors(positions)
+
     def folded(self, positions: Array) -> Array:
         """Return positions (N, 3) [m] of the frame for pictures: where they lie, told as from the nominal start."""
         if self.unfolding is None:

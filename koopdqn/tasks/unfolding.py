@@ -139,10 +139,12 @@ class Unfolding:
 
     def laid(self, whole: Array) -> Array:
         """Return the poses (N, 7) of which :meth:`whole` gives these (M, 7), or of a path like them."""
-        place = _nearest(whole[:, pose.POSITION], self._lifted)
-        turns = self.cuts[self.back]
-        between = ((place[:, None] >= turns) & (place[:, None] <= turns + 1)).any(axis=1)
-        return self.from_frame(whole[~between])
+        return self.from_frame(whole[~self.between_floors(whole[:, pose.POSITION])])
+
+    def between_floors(self, lifted: Array) -> np.ndarray:
+        """Return whether lifted positions (N, 3) [m] lie on what leads from floor to floor, as booleans (N,)."""
+        place, turns = _nearest(lifted, self._lifted), self.cuts[self.back]
+        return np.asarray(((place[:, None] >= turns) & (place[:, None] <= turns + 1)).any(axis=1))
 
     def onward(self, poses: Array, starts: Array) -> Array:
         """Return the starts (N, 7) of the legs on which poses (N, 7) are, of legs that began at ``starts`` (N, 7)."""

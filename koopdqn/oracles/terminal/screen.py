@@ -102,6 +102,13 @@ class Shown:
     help: bool = False
 
 
+def _leg(start: Array, task: Task) -> str:
+    """Return which leg of how many began at a start (7,); nothing of a path that does not pass itself."""
+    legs = task.legs(start)
+    begun = np.flatnonzero((legs[1:] == start).all(axis=1)) + 2
+    return f"   leg {begun[0] if len(begun) else 1} of {len(legs)}" if len(legs) > 1 else ""
+
+
 def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
     """Return the screen's ``height`` lines, each at most ``width`` characters."""
     place = region(width, height, pictures=pictures)
@@ -118,6 +125,7 @@ def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Te
     if question is not None:
         left = "" if question.left is None else f", {question.left} left"
         head += f"   question {question.number}{left}   episode {question.episode}   step {question.step}"
+        head += _leg(question.start, shown.task)
     head += f"   {console.visible(shown.teacher)}"
     keys = (f"y right   n wrong   {named} better action   s skip   u undo", _OTHER_KEYS)
     helps = help_lines(question) if shown.help else ()
