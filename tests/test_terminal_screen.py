@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers_unfolding import shaped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import Parts
@@ -60,6 +61,16 @@ def test_a_screen_fits_its_terminal(
     assert composed[-1].cell_len < width, "a full last line would scroll"
     assert place.left + place.width <= width
     assert place.top + place.rows < height
+
+
+def test_a_screen_says_the_leg_of_a_path_that_turns_back_and_of_no_other(parts: Parts, asked: Question) -> None:
+    twice = shaped("there and back twice")
+    for begun, said in zip(twice.legs(twice.nominal_start), ("1 of 4", "2 of 4", "3 of 4", "4 of 4"), strict=True):
+        question = replace(asked, pose=begun, start=begun)
+        (head, *_) = compose(Shown(twice, "anna", question, "", [], 38.0), 120, 40, pictures=False)
+        assert f"step 40   leg {said}" in head.plain
+    (head, *_) = compose(Shown(parts.task, "anna", asked, "", [], 38.0), 120, 40, pictures=False)
+    assert "leg" not in head.plain
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40)])
