@@ -17,7 +17,6 @@ from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
 from koopdqn.plots import style
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
 
 WIDTH, HEIGHT = 1560, 1060
@@ -42,7 +41,8 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
     turns = report["one_step_error_rad"] is not None
     if turns:
         title += f", {np.degrees(report['one_step_error_rad']['rms']):.2g}°"
-    trajectories = fitted.model.start_frame.each(agent_steps(demonstrations, task))
+    frame, recorded = fitted.model.start_frame, agent_steps(demonstrations, task)
+    trajectories = frame.each(recorded)
     with style.picture(path, title, WIDTH, HEIGHT) as figure:
         grid = figure.add_gridspec(2, 6, height_ratios=(1, 1.15))
         if measured:
@@ -57,10 +57,13 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
                 upper.set_xlabel("")
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
-        frame = fitted.model.start_frame
-        rollouts, shown = (
-            [_drawn(path, frame) for path in paths] for paths in (_roll_outs(fitted, trajectories, task), trajectories)
-        )
+        # What was unfolded is drawn where it lies.
+        unfolding = frame.unfolding
+        shown = [rows[:, pose.POSITION] for rows in (trajectories if unfolding is None else recorded)]
+        rollouts = [
+            (path if unfolding is None else unfolding.laid(path))[:, pose.POSITION]
+            for path in _roll_outs(fitted, trajectories, task)
+        ]
         trust = fitted.trust.drawn(frame)
         planes = style.two_planes(shown)
         for place, plane in zip((grid[row, :2], grid[row, 2:4]), planes, strict=True):
@@ -155,11 +158,6 @@ def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Ar
     steps = 2 * max(len(trajectory) for trajectory in trajectories)
     poses = fitted.model.roll_out(starts, steps, task.step_m)
     return [poses[:, i] for i in range(len(trajectories))]
-
-
-def _drawn(path: Array, frame: StartFrame) -> Array:
-    """Return the positions (N, 3) of a path of the start frame as it is drawn there: an unfolded one where it lies."""
-    return (path if frame.unfolding is None else frame.unfolding.laid(path))[:, pose.POSITION]
 
 
 def _tube(axes: Axes, trust: TrustDomain, plane: str) -> Array:
