@@ -45,9 +45,8 @@ class Ball(gymnasium.Env[np.ndarray, np.int64]):
         self.data.ctrl[:] = evaluation.reached[0, action, :3]
         mujoco.mj_step(self.model, self.data, 10)
         self.pose[:3], self.steps = self.data.qpos, self.steps + 1
-        here, start = self.pose[None], self.start[None]
-        lost, reached = bool(evaluation.source[0, action] == ASKED), bool(self.task.arrived(here, start)[0])
-        self.start = self.task.onward(here, start)[0]
+        here, begun, lost = self.pose[None], self.start[None], bool(evaluation.source[0, action] == ASKED)
+        reached, self.start = bool(self.task.arrived(here, begun)[0]), self.task.onward(here, begun)[0]
         reward, observed = -1.0 if lost else float(evaluation.reward[0, action]), self.pose[:3] - self.task.goal[:3]
         ended = lost or reached, self.steps >= 400
         return 10.0 * observed.astype(np.float32), reward, *ended, {"is_success": reached}

@@ -110,8 +110,9 @@ def main(folder: Path, names: list[str]) -> None:
                 continue
             away = report["holdout"]["hausdorff_mm"]
             cells += [f"{100 * report['success_rate']:.0f}", f"{away['policy'][0]:.1f}"]
-            cells += [f"{report['train']['seconds']:.0f}"] if unfolded else []
-            replayed = f"{away['nearest_demonstration'][0]:.1f}"
+            if unfolded:
+                cells.append(f"{report['train']['seconds']:.0f}")
+                replayed = f"{away['nearest_demonstration'][0]:.1f}"
         cells.append(replayed)
         print("| " + " | ".join(cells) + " |", flush=True)
 
