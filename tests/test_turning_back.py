@@ -28,6 +28,7 @@ from koopdqn.artifact import described
 from koopdqn.evaluation.baselines import Greedy
 from koopdqn.intent.fit import fit
 from koopdqn.paths import hausdorff, to_step
+from koopdqn.pose import Array
 from koopdqn.settings import load_settings
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
@@ -103,12 +104,17 @@ def test_whatever_the_strokes_legs_are_told_alike_and_lead_to_the_goal(
         assert KDTree(laid[:, :3]).query(rows[:, :3])[0].max() < 2.0 * wide
 
 
+def hooked(radius: float, rounds: float) -> Array:
+    """Return poses (N, 7) along a stroke that ends in rounds of a circle [m]."""
+    angle = np.linspace(0.0, 2.0 * np.pi * rounds, 200)
+    rows = strokes(-0.2, 0.0)
+    circle_there = np.repeat(rows[-1:], 200, axis=0)
+    circle_there[:, 1:3] += radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
+    return np.concatenate([rows, circle_there])
+
+
 def test_a_tip_circled_by_less_than_can_be_told_is_no_passage() -> None:
-    angle = np.linspace(0.0, 4.0 * np.pi, 200)
-    rows = strokes(-0.15, 0.0)
-    circles = np.repeat(rows[-1:], 200, axis=0)
-    circles[:, 1:3] += 0.0035 * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
-    assert unfolded([np.concatenate([rows, circles])]) is None
+    assert unfolded([hooked(0.0035, 2.0)]) is None
 
 
 def test_samples_that_turn_on_the_spot_do_not_make_floors_endless() -> None:
@@ -122,11 +128,7 @@ def test_samples_that_turn_on_the_spot_do_not_make_floors_endless() -> None:
 
 
 def test_a_hook_at_the_end_that_touches_nothing_is_no_passage() -> None:
-    angle = np.linspace(0.0, 1.5 * np.pi, 100)
-    rows = strokes(-0.2, 0.0)
-    hook = np.repeat(rows[-1:], 100, axis=0)
-    hook[:, 1:3] += 0.012 * np.stack([np.sin(angle), 1.0 - np.cos(angle)], axis=1)
-    assert unfolded([np.concatenate([rows, hook])]) is None
+    assert unfolded([hooked(0.012, 0.75)]) is None
 
 
 def test_an_intent_that_does_not_unfold_is_asked_for_a_task_that_does_not() -> None:

@@ -144,15 +144,13 @@ class Task(TaskChoice):
 
     def begun(self, poses: Array, *, hindsight: bool = False) -> Array:
         """Return the starts (N, 7) that count at poses (N, 7) of one episode; with ``hindsight``, of a whole path."""
-        if not self.unfolds:
-            return np.repeat(poses[:1], len(poses), axis=0)
-        return self.person_frame.begun(poses, hindsight=hindsight)
+        frame = self.person_frame if self.unfolds else STILL
+        return frame.begun(poses, hindsight=hindsight)
 
     def legs(self, start: Array) -> Array:
         """Return the starts (K, 7) of all legs of an episode from a start (7,)."""
         unfolding = self.person_frame.unfolding if self.unfolds else None
-        cuts = np.empty((0, 7)) if unfolding is None else unfolding.starts
-        return np.concatenate([start[None], cuts])
+        return start[None] if unfolding is None else np.concatenate([start[None], unfolding.starts])
 
     @property
     def demonstrated(self) -> Sequence[Array]:
@@ -321,8 +319,7 @@ class Task(TaskChoice):
     def arrived(self, poses: Array, starts: Array | None) -> np.ndarray:
         """Return whether poses (N, ..., 7) of episodes from ``starts`` (N, 7) end them at the goal, as booleans.
 
-        A path that passes itself may come through the goal on its way, and ends there on its last leg alone. Without
-        starts the poses are in the start frame already.
+        A path that passes itself ends there on its last leg alone. Without starts poses are in the start frame already.
         """
         there = np.asarray(self.reached(poses.reshape(-1, 7)), dtype=bool).reshape(poses.shape[:-1])
         if starts is None or not self.unfolds or not there.any():
