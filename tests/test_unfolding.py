@@ -231,9 +231,24 @@ def test_legs_are_those_of_the_task_whatever_the_intent() -> None:
 
 def test_obstacles_are_refused_on_a_path_that_passes_itself() -> None:
     held = {"name": "thing", "shape": "sphere", "center_m": (0.45, 0.0, 0.6), "radius_m": 0.02}
-    among = task().model_copy(update={"obstacles": (Obstacle.model_validate(held),)})
+    obstacles = (Obstacle.model_validate(held),)
+    among = task().model_copy(update={"obstacles": obstacles})
     with pytest.raises(BadInputError, match="must not pass itself, found one that does"):
         detour(open_workcell(among, PARTS.arm), intent(), np.array([task().nominal_start]))
+    # Before anything is fitted.
+    with pytest.raises(BadInputError, match="must not pass itself, found one that does"):
+        derivation(holdout=0, obstacles=obstacles).derive(shown(*map(recorded, eights())))
+
+
+def test_inspect_says_how_many_legs_a_path_has_that_passes_itself(
+    tmp_path: Path,
+) -> None:
+    write_hdf5(tmp_path / "eights.hdf5", shown(*map(recorded, eights())))
+    assert cli.main(["inspect", f"demos={tmp_path / 'eights.hdf5'}", f"out={tmp_path / 'seen'}"]) == 0
+    found = json.loads((tmp_path / "seen/inspect.json").read_text())["findings"]
+    (line,) = (each for each in found if each["name"] == "one task")
+    assert line["state"] == "good"
+    assert "its path passes itself and has 2 legs" in line["text"]
 
 
 @pytest.mark.slow
@@ -251,7 +266,9 @@ def test_a_path_that_passes_itself_is_learned_measured_and_not_corrected(
     rows, explained = eight(0.004, 0), tmp_path / "explained"
     pose_given = ",".join(f"{value:.6f}" for value in rows[250])
     assert cli.main(["explain", f"run={run}", f"explain.pose=[{pose_given}]", f"out={explained}"]) == 0
-    actions = json.loads((explained / "explain.json").read_text())["actions"]
+    told = json.loads((explained / "explain.json").read_text())
+    actions = told["actions"]
+    assert (told["leg"], told["legs"]) == (2, 2)
     best = max(actions, key=lambda action: action["reward"])
     assert (np.array(best["reached"][:3]) - rows[250, :3]) @ (rows[256, :3] - rows[250, :3]) > 0.0
     capsys.readouterr()

@@ -175,6 +175,8 @@ class Derivation(TaskChoice):
                 f"demonstration {int(way.argmin())} must start at least {least:g} m from"
                 f" the goal, found {way.min():.4f} m: within task.goal_tolerance_m of it the task has ended"
             )
+        if unfolded and self.obstacles:
+            raise BadInputError(f"task {self.name}: a path among obstacles must not pass itself, found one that does")
         middle = trajectories[_middle_one(trajectories)]
         start = middle[0]
         # A closed path is one by what lies between its ends.

@@ -217,10 +217,16 @@ def _apart(paths: Array, others: Array) -> Array:
     return np.asarray(np.linalg.norm(paths - others, axis=2).mean(axis=1))
 
 
-def findings(each: Sequence[InspectedDemonstration], beside: Together, arm: str, refused: str) -> list[Finding]:
-    """Return the lines of the table; ``refused`` is why they make no task, or an empty text."""
+def findings(
+    each: Sequence[InspectedDemonstration], beside: Together, arm: str, refused: str, legs: int = 1
+) -> list[Finding]:
+    """Return the lines of the table; ``refused`` is why they make no task, or an empty text.
+
+    The path of the task that they make has so many legs, one unless it passes itself.
+    """
     found = [_frame(each), _time(each), _samples(each), _reach(each, arm)]
-    found.append(_finding("one task", "bad" if refused else "good", refused or "starts and ends make one"))
+    task = "starts and ends make one" + (f"; its path passes itself and has {legs} legs" if legs > 1 else "")
+    found.append(_finding("one task", "bad" if refused else "good", refused or task))
     followed = [one for one in each if one.singular is not None and one.joint_speed is not None]
     if followed:
         least = min(one.singular or 0.0 for one in followed)

@@ -11,6 +11,11 @@ APART = 3.0
 _OPENS = 2.0
 
 
+def leg_of(start: Array, legs: Array) -> int:
+    """Return which leg, from 1, began at ``start`` (7,), of those that begin at ``legs`` (K, 7); else the first."""
+    return 1 + int(np.append(np.flatnonzero((legs[1:] == start).all(axis=1)) + 1, 0)[0])
+
+
 def passages(path: Array, near: float, by_goal: float, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs (M, 2) of places of a path (P, 3) [m] that are one place, by the second of them.
 

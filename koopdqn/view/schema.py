@@ -98,6 +98,8 @@ class ExplainFile(ReportModel):
         description="distance of the explained pose from the person's own path from the same start, or else from the"
         " intent's roll-out; null of a given pose"
     )
+    leg: int = Field(ge=1, description="which leg of the path the pose is on, from 1; of a given pose the nearest")
+    legs: int = Field(ge=1, description="how many legs there are: 1 but where the path passes itself")
     pose: PoseList = Field(description="the explained pose (x y z [m], quaternion)")
     predicted: PoseList = Field(description="what the reached poses are compared with")
     trusted: bool = Field(description="whether the pose is in the trust domain")

@@ -20,6 +20,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, PolicyAround
 from koopdqn.tasks.moved_goals import DrawnStarts
+from koopdqn.tasks.passages import leg_of
 from koopdqn.tasks.rollout import RULE_BROKEN, STUCK, SUCCESS, Episode, roll_out
 from koopdqn.view.explain import Walk, drawn_of, explained_actions, left_at, telling_step, trust_of, walked
 from koopdqn.view.motions import shown_starts
@@ -53,10 +54,14 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     task, row = trained.workcell.task, shown.row
     local = trained.reward.model.placed(trained.trajectories)
     trusted, trust = trust_of(feedback, shown.evaluation, row)
+    begun = shown.evaluation.starts[row]
+    legs = task.legs(begun)
     content = ExplainFile(
         run=str(source),
         task=task.name,
         **shown.place,
+        leg=leg_of(begun, legs),
+        legs=len(legs),
         pose=shown.evaluation.poses[row].tolist(),
         predicted=shown.evaluation.predicted[row].tolist(),
         trusted=trusted,
@@ -197,6 +202,8 @@ def _lines(content: dict[str, Any], folder: Path, source: Path) -> list[Renderab
         lines.append(f"away     {content['off_path_mm']:.1f} mm from the path that it is compared with")
     elif content["start"] is not None:
         lines.append(f"begun    as if at held-out start {content['start']}")
+    if content["legs"] > 1:
+        lines.append(f"leg      {content['leg']} of {content['legs']}")
     return [
         *lines,
         f"trusted  {'yes' if content['trusted'] else 'no'}: {content['trust']}",

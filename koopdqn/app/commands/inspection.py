@@ -53,7 +53,7 @@ def inspect(config: Configuration, folder: Path) -> CommandResult:
         spread_mm=beside.spread_mm or None,
         left_out_mm=beside.left_out_mm,
         enough=beside.enough,
-        findings=findings(each, beside, config.robot.name, _refused(config, kept)),
+        findings=findings(each, beside, config.robot.name, *_as_task(config, kept)),
         file=str(path),
         picture=str(picture),
     )
@@ -77,17 +77,20 @@ def _cleaned(config: Configuration, demonstrations: Demonstrations, index: int) 
         raise BadInputError(f"demonstration {index}: {error}") from error
 
 
-def _refused(config: Configuration, demonstrations: Demonstrations) -> str:
-    """Return why demonstrations make no task, or do not belong to the one that was chosen; an empty text if they do."""
+def _as_task(config: Configuration, demonstrations: Demonstrations) -> tuple[str, int]:
+    """Return why demonstrations make no task, or do not belong to the one that was chosen; an empty text if they do.
+
+    Returned too is how many legs the path of the task made of them has.
+    """
     try:
         if isinstance(config.chosen, Derivation):
             recipe = config.chosen.model_copy(update={"holdout": 0})
-            recipe.derive(demonstrations, continuous=config.agent.continuous, unfolds=config.intent.unfolds)
-        else:
-            check_shown(demonstrations, config.task)
+            derived = recipe.derive(demonstrations, continuous=config.agent.continuous, unfolds=config.intent.unfolds)
+            return "", len(derived.task.legs(derived.task.nominal_start))
+        check_shown(demonstrations, config.task)
     except BadInputError as error:
-        return str(error)
-    return ""
+        return str(error), 1
+    return "", 1
 
 
 def _table(each: list[InspectedDemonstration]) -> RenderableType:

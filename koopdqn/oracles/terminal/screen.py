@@ -26,6 +26,7 @@ from koopdqn.oracles.terminal.window import (
 )
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import COUNT, NAMES, legal_actions
+from koopdqn.tasks.passages import leg_of
 from koopdqn.tasks.task import Task
 
 SHORT: Final = (
@@ -105,8 +106,7 @@ class Shown:
 def _leg(start: Array, task: Task) -> str:
     """Return which leg of how many began at a start (7,); nothing of a path that does not pass itself."""
     legs = task.legs(start)
-    begun = np.flatnonzero((legs[1:] == start).all(axis=1)) + 2
-    return f"   leg {begun[0] if len(begun) else 1} of {len(legs)}" if len(legs) > 1 else ""
+    return f"   leg {leg_of(start, legs)} of {len(legs)}" if len(legs) > 1 else ""
 
 
 def compose(shown: Shown, width: int, height: int, *, pictures: bool) -> list[Text]:
