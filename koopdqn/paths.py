@@ -183,11 +183,13 @@ def between(a: Array, b: Array, share: ArrayLike) -> Array:
     return pose.make(position, pose.turned_toward(a[..., pose.QUATERNION], b[..., pose.QUATERNION], angle))
 
 
-def mean_poses(trajectories: list[Array], count: int) -> Array:
+def mean_poses(trajectories: Sequence[Array], count: int | None = None) -> Array:
     """Return ``count`` poses (count, 7) along the mean of pose trajectories (N, 7), aligned by their share of the way.
 
-    The way is that of :func:`way_lengths`, so that turns on the spot are not skipped.
+    They are as many as the longest has if that is None. The way is that of :func:`way_lengths`, so that turns on the
+    spot are not skipped.
     """
+    count = max(len(rows) for rows in trajectories) if count is None else count
     aligned = np.array([to_count(rows, count, way_lengths(rows)) for rows in trajectories])
     turns = aligned[..., pose.QUATERNION]
     # q and −q are the same rotation.

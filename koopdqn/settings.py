@@ -215,6 +215,8 @@ Vector6 = Annotated[tuple[float, float, float, float, float, float], BeforeValid
 """Six numbers, as a YAML list."""
 Vector7 = Annotated[tuple[float, float, float, float, float, float, float], BeforeValidator(_listed("numbers", 7))]
 """Seven numbers, as a YAML list: a pose (x y z [m], qw qx qy qz)."""
+PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
+"""A pose (x y z [m], qw qx qy qz) in a JSON file."""
 Floats = Annotated[tuple[float, ...], BeforeValidator(_listed("numbers"))]
 """Any number of numbers, as a YAML list."""
 Counts = Annotated[tuple[Count, ...], BeforeValidator(_listed("whole numbers"))]

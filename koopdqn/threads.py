@@ -62,30 +62,44 @@ def threads(count: int) -> Iterator[None]:
 def in_halves(count: int, work: Callable[[slice], None]) -> None:
     """Do work on the first and on the second half of rows, side by side.
 
-    How rows are parted depends on their number alone, not on the machine, so that the same work gives the same bits.
-
     Args:
         count: of the rows.
         work: with the slice of a half; computes no gradients, and gains only where it lets go of the interpreter's
             lock, as torch does.
     """
+    parts = halves(count)
+    if len(parts) == 1:
+        work(parts[0])
+    else:
+        side_by_side(lambda half: work(parts[half]))
+
+
+def halves(count: int) -> list[slice]:
+    """Return the slices of both halves of rows, or the one of all where that is faster.
+
+    How rows are parted depends on their number alone, not on the machine, so that the same work gives the same bits.
+    """
     if count < 2 * _LEAST_ROWS:
-        work(slice(0, count))
-        return
+        return [slice(0, count)]
+    middle = (count // 2 + _BLOCK - 1) // _BLOCK * _BLOCK
+    return [slice(0, middle), slice(middle, count)]
+
+
+def side_by_side(work: Callable[[int], None]) -> None:
+    """Do work 0 and work 1 on a core each; as of :func:`in_halves`."""
     import torch
 
     threads = torch.get_num_threads()
 
-    def second(rows: slice) -> None:
+    def second() -> None:
         # A thread has a number of its own.
         if torch.get_num_threads() != threads:
             torch.set_num_threads(threads)
-        work(rows)
+        work(1)
 
-    middle = (count // 2 + _BLOCK - 1) // _BLOCK * _BLOCK
-    beside = _helper().submit(second, slice(middle, count))
+    beside = _helper().submit(second)
     try:
-        work(slice(0, middle))
+        work(0)
     finally:
         beside.result()
 

@@ -67,7 +67,7 @@ def mean_tangent(trajectories: list[Array], task: Task) -> NextPose:
     """
     from scipy.spatial import KDTree
 
-    mean = ReferencePath.along(_mean(trajectories))
+    mean = ReferencePath.along(mean_poses(trajectories))
     places, last = mean.places, len(mean.places.points) - 1
     tree = KDTree(places.points)
 
@@ -190,14 +190,9 @@ def baseline_episodes(
     yield "mean_tangent", controlled(greedy(mean_tangent(placed, task)))
     yield "mean_pursuit", controlled(greedy(mean_expert(placed, task).next_pose))
     yield "nearest_demonstration", followed(lambda start: replay_path(start, trajectories, task))
-    mean = _mean(placed)
+    mean = mean_poses(placed)
     yield "mean_demonstration", followed(mean_path)
     yield "floor", controlled(floor)
-
-
-def _mean(trajectories: list[Array]) -> Array:
-    """Return the mean (T, 7) of demonstrated poses (N, 7), with as many as the longest has."""
-    return mean_poses(trajectories, max(len(rows) for rows in trajectories))
 
 
 def _nearest(poses: Array, wished: Array, task: Task, continuous: bool) -> np.ndarray:

@@ -13,6 +13,7 @@ from koopdqn.intent.augment import Augmentation, Pairs, augmented
 from koopdqn.intent.koopman import KoopmanModel, snapshot_pairs, within_radius
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Affine, AnyObservables, RotationObservables
+from koopdqn.intent.trust import components_of
 from koopdqn.pose import Array
 from koopdqn.settings import Floats, Settings
 from koopdqn.tasks.task import Task, angles_in, quaternions_in
@@ -208,7 +209,7 @@ class JointIntentSettings(IntentSettings):
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
         """Return the model fitted to pose trajectories (N, 7)."""
-        before, after = snapshot_pairs([_state(trajectory, task.frame) for trajectory in trajectories])
+        before, after = snapshot_pairs([components_of(trajectory, task.frame) for trajectory in trajectories])
         koopman = KoopmanModel.fit(self.observables, before, after, np.zeros(6), 1.0, self.ridge)
         return JointIntent(koopman, task.frame, task.orientation == "held", task.goal)
 
@@ -241,7 +242,7 @@ class JointIntent(IntentModel):
 
     def predict(self, poses: Array) -> Array:
         """Return the predicted next poses (N, 7) of poses (N, 7)."""
-        rows = self.koopman.predict(_state(poses, self.frame))
+        rows = self.koopman.predict(components_of(poses, self.frame))
         turned = poses[:, pose.QUATERNION] if self.held else quaternions_in(self.frame, rows[:, 3:])
         return pose.make(rows[:, :3], turned)
 
@@ -253,10 +254,6 @@ class JointIntent(IntentModel):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the model as arrays, without its settings."""
         return {"matrix": self.koopman.matrix, "frame": self.frame, "held": np.array(self.held), "goal": self.goal}
-
-
-def _state(poses: Array, frame: Array) -> Array:
-    return np.concatenate([poses[:, pose.POSITION], angles_in(frame, poses[:, pose.QUATERNION])], axis=1)
 
 
 class LineIntentSettings(IntentSettings):

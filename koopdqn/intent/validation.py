@@ -101,7 +101,7 @@ def sizes_of(errors: Array) -> Array:
 def mean_expert(trajectories: Sequence[Array], task: Task) -> Expert:
     """Return the expert that goes along the mean of pose trajectories (N, 7) in the start frame."""
     turn = IN_PLACE * task.rotation_tolerance_rad if task.orientation == "learned" else 0.0
-    mean = ReferencePath.along(mean_poses(list(trajectories), max(len(rows) for rows in trajectories)))
+    mean = ReferencePath.along(mean_poses(trajectories))
     return Expert(mean, _steps_ahead, task.goal, task.step_m, turn, in_full=task.turns_in_full)
 
 

@@ -114,7 +114,7 @@ class WholePoseSettings(IntentSettings):
         Augmented states lie in any direction from it, at log-uniform distances of one step and more, and lead back to
         it within some steps. Their orientations are random too, and turn to that of the path.
         """
-        mean = mean_poses(trajectories, max(len(rows) for rows in trajectories))
+        mean = mean_poses(trajectories)
         path = PursuitPath.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
         shown = to_count(mean, len(path.points))
         rng = np.random.default_rng(self.seed)

@@ -14,11 +14,8 @@ from koopdqn.errors import BadInputError
 from koopdqn.files import LARGEST_JSON, parse_json
 from koopdqn.oracles.base import Answer, Earlier
 from koopdqn.run_folder import open_own
-from koopdqn.settings import Name, NonNegative, NonNegativeInt, ReportModel, flaw
+from koopdqn.settings import Name, NonNegative, NonNegativeInt, PoseList, ReportModel, flaw
 from koopdqn.tasks.actions import NAMES
-
-PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
-
 
 Action = Annotated[int, Field(ge=0, lt=len(NAMES))]
 

@@ -14,6 +14,7 @@ from koopdqn.intent.reward import ActionEvaluation
 from koopdqn.rl.network import Buffers, QNetwork
 from koopdqn.rl.replay_buffer import Batch
 from koopdqn.rl.settings import Agent, AgentSettings
+from koopdqn.threads import halves, side_by_side
 
 _BETA1: Final = 0.9
 _BETA2: Final = 0.999
@@ -204,20 +205,25 @@ class Learner(Networks):
 
         Given are the inputs of every layer (N, units) and the gradient with respect to Q (N, 10).
         """
-        gradients: list[Tensor] = []
-        for index, (weight, _) in reversed(list(enumerate(self.online.weights))):
-            seen, found = inputs[index], self._slopes[index]
+        weights = [weight for weight, _ in self.online.weights]
+        slopes = [self._backward.of(f"layer {index}", *seen.shape) for index, seen in enumerate(inputs) if index]
+        slopes.append(slope)
 
-            def fill(units: slice, after: Tensor = slope, seen: Tensor = seen, found: Tensor = found) -> None:
-                torch.mm(after[:, units].t(), seen, out=found[units])
+        def pass_back(rows: slice) -> None:
+            for index in range(len(weights) - 1, 0, -1):
+                into = slopes[index - 1][rows]
+                torch.mm(slopes[index][rows], weights[index], out=into)
+                _relu_slope(into, inputs[index][rows], 0, grad_input=into)
 
-            self.online.in_halves(len(found), fill)
-            gradients[:0] = [found, slope.sum(dim=0)]
-            if index:
-                into = self._backward.of(f"layer {index}", *seen.shape)
-                slope = torch.mm(slope, weight, out=into)
-                _relu_slope(slope, seen, 0, grad_input=slope)
-        return gradients
+        self.online.in_halves(len(slope), pass_back)
+
+        def weigh(half: int) -> None:
+            for seen, after, found in zip(inputs, slopes, self._slopes, strict=True):
+                for units in halves(len(found))[half : half + 1]:
+                    torch.mm(after[:, units].t(), seen, out=found[units])
+
+        side_by_side(weigh)
+        return [each for found, after in zip(self._slopes, slopes, strict=True) for each in (found, after.sum(dim=0))]
 
 
 def distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:

@@ -185,13 +185,10 @@ def observe(poses: Array, task: Task) -> NDArray[np.float32]:
     Position [m], with orientation learned the rotation vector from the goal's orientation [rad], then the distances to
     the goal in position [m] and rotation [rad].
     """
+    turn = pose.multiply(poses[:, pose.QUATERNION], pose.conjugate(task.goal[pose.QUATERNION]))
     columns = [poses[:, pose.POSITION]]
     if task.orientation == "learned":
-        columns.append(
-            pose.to_rotation_vector(
-                pose.multiply(poses[:, pose.QUATERNION], pose.conjugate(task.goal[pose.QUATERNION]))
-            )
-        )
+        columns.append(pose.to_rotation_vector(turn))
     columns.append(pose.position_distance(poses, task.goal)[:, None])
-    columns.append(pose.rotation_distance(poses, task.goal)[:, None])
+    columns.append(pose.angle_of(turn)[:, None])
     return np.concatenate(columns, axis=1).astype(np.float32)

@@ -144,8 +144,8 @@ class DemonstratedTask(Task):
     @cached_property
     def reference_path(self) -> ReferencePath:
         """The mean of the training demonstrations in the start frame: it was found nearest to those left out."""
-        count = max(len(rows) for rows in self.trajectories)
-        return ReferencePath.along(mean_poses(self.person_frame.each(self.trajectories), count))
+        longest = max(len(rows) for rows in self.trajectories)
+        return ReferencePath.along(mean_poses(self.person_frame.each(self.trajectories), longest))
 
     def with_starts_scaled(self, scale: float) -> Self:
         """Return the task with ``start_margin_m`` scaled by ``scale``."""

@@ -93,7 +93,7 @@ class StartRegression:
         spread = float(np.sqrt((off**2).sum(axis=1).mean()))
         if spread < _LEAST_SPREAD_M:
             return None
-        mean = mean_poses(list(local), _PLACES)[:, pose.POSITION]
+        mean = mean_poses(local, _PLACES)[:, pose.POSITION]
         left = np.array([to_count(rows, _PLACES, way_lengths(rows))[:, pose.POSITION] for rows in local]) - mean
         scaled = off / spread
         inverse = np.linalg.solve(scaled.T @ scaled + _PRIOR * np.eye(3), scaled.T) / spread

@@ -60,7 +60,7 @@ class Unfolding:
         None if their mean does not pass itself, or if they are too far from it to tell which passage they are on.
         """
         count = max(len(rows) for rows in trajectories)
-        mean = mean_poses(list(trajectories), count)
+        mean = mean_poses(trajectories, count)
         aligned = np.array([to_count(rows, count, way_lengths(rows))[:, pose.POSITION] for rows in trajectories])
         spread = float(np.sqrt(((aligned - mean[:, pose.POSITION]) ** 2).sum(axis=2).mean()))
         near = max(_SPREADS * spread, _STEPS * step)
@@ -72,7 +72,7 @@ class Unfolding:
         means = []
         for leg in range(len(found.cuts) + 1):
             parts = [rows[on == leg] for rows, on in zip(trajectories, legs, strict=True)]
-            means.append(mean_poses(parts, max(map(len, parts))))
+            means.append(mean_poses(parts))
         again = cls._along(np.concatenate(means), near, by_goal)
         told = again is not None and len(again.cuts) == len(found.cuts) and all(map(again._tells, trajectories))
         return again if told else found

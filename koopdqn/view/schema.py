@@ -12,12 +12,11 @@ from koopdqn.settings import (
     NonNegative,
     NonNegativeInt,
     PathText,
+    PoseList,
     ReportModel,
     Settings,
     Vector7,
 )
-
-PoseList = Annotated[list[float], Field(min_length=7, max_length=7)]
 
 
 class ViewSettings(Settings):
