@@ -128,7 +128,7 @@ class ActorCritic(Networks):
         rows, twists = self._tensor(state_of[:count]), self._tensor(batch.twists[:count]) / self._unit
         values = self._critics(features[: int(state_of[count - 1]) + 1], rows, twists)
         loss = nn.functional.mse_loss(values, self._targets(batch, count).expand_as(values))
-        self._critic_adam.step(torch.autograd.grad(loss, list(self._critics.parameters())))
+        self._critic_adam.descend(loss)
         self.updates += 1
         if self.updates % self.settings.actor_every == 0:
             self._update_actor(features, batch, state_of)
@@ -170,7 +170,7 @@ class ActorCritic(Networks):
             wished = self._tensor(best)
             missed = (raw - wished).square().sum(dim=1) * self._tensor(known.astype(np.float32))
             loss = loss + self.settings.imitation * missed.mean()
-        self._actor_adam.step(torch.autograd.grad(loss, list(self.online.parameters())))
+        self._actor_adam.descend(loss)
 
     def _each(self, features: Tensor) -> Tensor:
         """Return the states (B,) of one action in each."""

@@ -27,30 +27,41 @@ _ONE: Final = torch.ones(())
 
 
 class Adam:
-    """The optimiser Adam with its default decay rates."""
+    """The optimiser Adam with its default decay rates.
+
+    All parameters lie in one array, one after the other, and are moved at once.
+
+    Attributes:
+        gradients: where the gradient with respect to each parameter is put before a step.
+    """
 
     def __init__(self, parameters: Sequence[Tensor], learning_rate: float) -> None:
-        """Begin with moments of zero."""
-        self._parameters = [parameter.detach() for parameter in parameters]
+        """Begin with moments of zero; the parameters' memory becomes part of the array."""
         self._learning_rate = learning_rate
-        self._means = [torch.zeros_like(values) for values in self._parameters]
-        self._squares = [torch.zeros_like(values) for values in self._parameters]
-        self._roots = [torch.empty_like(values) for values in self._parameters]
-        self._steps = [torch.zeros(()) for _ in self._parameters]
+        self._parameters = list(parameters)
+        self._values = torch.cat([values.detach().flatten() for values in parameters])
+        self._gradient, self._mean, self._square, self._root = (torch.zeros_like(self._values) for _ in range(4))
+        self.gradients = self._each(self._gradient)
+        for parameter, values in zip(parameters, self._each(self._values), strict=True):
+            parameter.data = values
+        self._steps = [torch.zeros(()) for _ in parameters]
 
-    def step(self, gradients: Sequence[Tensor]) -> None:
+    def step(self) -> None:
         """Make one step of gradient descent."""
         steps = float(self._steps[0]) + 1.0
-        size = self._learning_rate / (1 - _BETA1**steps)
         root = (1 - _BETA2**steps) ** 0.5
-        columns = self._parameters, gradients, self._means, self._squares, self._roots
-        for parameter, gradient, mean, square, scale in zip(*columns, strict=True):
-            mean.lerp_(gradient, 1 - _BETA1)
-            square.mul_(_BETA2).addcmul_(gradient, gradient, value=1 - _BETA2)
-            torch.sqrt(square, out=scale).div_(root).add_(_EPSILON)
-            parameter.addcdiv_(mean, scale, value=-size)
+        self._mean.lerp_(self._gradient, 1 - _BETA1)
+        self._square.mul_(_BETA2).addcmul_(self._gradient, self._gradient, value=1 - _BETA2)
+        torch.sqrt(self._square, out=self._root).div_(root).add_(_EPSILON)
+        self._values.addcdiv_(self._mean, self._root, value=-self._learning_rate / (1 - _BETA1**steps))
         for count in self._steps:
             count += 1
+
+    def descend(self, loss: Tensor) -> None:
+        """Make one step down a loss, its gradient found by autograd."""
+        found = torch.autograd.grad(loss, self._parameters)
+        torch.cat([each.flatten() for each in found], out=self._gradient)
+        self.step()
 
     def state(self) -> dict[str, np.ndarray]:
         """Return a copy of the moments and the step count of every parameter, by its index."""
@@ -67,7 +78,12 @@ class Adam:
                 values.copy_(torch.from_numpy(state[f"{index}.{name}"]))
 
     def _columns(self) -> dict[str, list[Tensor]]:
-        return {"exp_avg": self._means, "exp_avg_sq": self._squares, "step": self._steps}
+        return {"exp_avg": self._each(self._mean), "exp_avg_sq": self._each(self._square), "step": self._steps}
+
+    def _each(self, values: Tensor) -> list[Tensor]:
+        """Return the part of an array that is of each parameter, in its shape."""
+        parts = torch.split(values, [each.numel() for each in self._parameters])
+        return [part.view_as(each) for part, each in zip(parts, self._parameters, strict=True)]
 
 
 def q_targets(rewards: Tensor, online_next: Tensor, target_next: Tensor, gamma: float, double: bool) -> Tensor:
@@ -151,11 +167,11 @@ class Learner(Networks):
         self._device = self.online.device
         self.target.load_state_dict(self.online.state_dict())
         self.updates = 0
-        self._parameters: list[Tensor] = [values.detach() for values in self.online.parameters()]
-        self._target_parameters: list[Tensor] = [values.detach() for values in self.target.parameters()]
-        self._adam = Adam(self._parameters, settings.learning_rate)
+        self._adam = Adam(list(self.online.parameters()), settings.learning_rate)
+        self._parameters, self._target_parameters = (
+            [values.detach() for values in network.parameters()] for network in (self.online, self.target)
+        )
         self._forward, self._backward = (Buffers(self._device) for _ in range(2))
-        self._slopes = [torch.empty_like(weight) for weight, _ in self.online.weights]
 
     def _parts(self) -> dict[str, nn.Module | Adam]:
         return {"online": self.online, "target": self.target, "adam": self._adam}
@@ -182,7 +198,8 @@ class Learner(Networks):
             loss = nn.functional.mse_loss(chosen, targets)
             slope = torch.zeros_like(layers[-1])
             slope.index_put_(index, _mse_slope(_ONE.to(self._device), chosen, targets, _MEAN), accumulate=True)
-            self._adam.step(self._gradients([features, *layers[:-1]], slope))
+            self._find_gradients([features, *layers[:-1]], slope)
+            self._adam.step()
             self.updates += 1
             if self.updates % self.settings.target_every == 0:
                 torch._foreach_lerp_(self._target_parameters, self._parameters, self.settings.target_rate)
@@ -200,14 +217,15 @@ class Learner(Networks):
         targets[rows] = q_targets(targets[rows], online, target, self.settings.gamma, self.settings.double)
         return targets
 
-    def _gradients(self, inputs: list[Tensor], slope: Tensor) -> list[Tensor]:
-        """Return the gradients of the loss with respect to the online parameters, in their order.
+    def _find_gradients(self, inputs: list[Tensor], slope: Tensor) -> None:
+        """Put the gradients of the loss with respect to the online parameters where Adam takes them.
 
         Given are the inputs of every layer (N, units) and the gradient with respect to Q (N, 10).
         """
         weights = [weight for weight, _ in self.online.weights]
         slopes = [self._backward.of(f"layer {index}", *seen.shape) for index, seen in enumerate(inputs) if index]
         slopes.append(slope)
+        of_weights, of_biases = self._adam.gradients[::2], self._adam.gradients[1::2]
 
         def pass_back(rows: slice) -> None:
             for index in range(len(weights) - 1, 0, -1):
@@ -215,15 +233,15 @@ class Learner(Networks):
                 torch.mm(slopes[index][rows], weights[index], out=into)
                 _relu_slope(into, inputs[index][rows], 0, grad_input=into)
 
-        self.online.in_halves(len(slope), pass_back)
-
         def weigh(half: int) -> None:
-            for seen, after, found in zip(inputs, slopes, self._slopes, strict=True):
+            for seen, after, found in zip(inputs, slopes, of_weights, strict=True):
                 for units in halves(len(found))[half : half + 1]:
                     torch.mm(after[:, units].t(), seen, out=found[units])
 
+        self.online.in_halves(len(slope), pass_back)
         side_by_side(weigh)
-        return [each for found, after in zip(self._slopes, slopes, strict=True) for each in (found, after.sum(dim=0))]
+        for after, found in zip(slopes, of_biases, strict=True):
+            torch.sum(after, dim=0, out=found)
 
 
 def distinct(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], np.ndarray]:
