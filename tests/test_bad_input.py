@@ -300,6 +300,15 @@ def test_a_report_without_a_step_limit_is_refused(
     assert "step_limit must be a whole number above 0" in refused(capsys, "eval", f"run={run_copy}")
 
 
+@pytest.mark.parametrize("command", ["eval", "view", "explain", "export", "correct"])
+def test_a_training_that_was_stopped_says_what_goes_on_with_it(
+    run_copy: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    (run_copy / "policy.safetensors").unlink()
+    message = refused(capsys, command, f"run={run_copy}")
+    assert "run: must have been trained to its end, found it stopped on the way; koopdqn train run=" in message
+
+
 @pytest.mark.parametrize("damage", [_truncate, _empty, _edit])
 def test_a_damaged_checkpoint_is_not_gone_on_from_and_nothing_is_touched(
     run_copy: Path, capsys: pytest.CaptureFixture[str], damage: Callable[[Path], None]

@@ -22,6 +22,7 @@ def work(tmp_path: Path, parts: "Parts", monkeypatch: pytest.MonkeyPatch) -> Pat
     """A working folder with a sweep of two intents and two seeds below ``swept``; the last run failed."""
     for job, (intent, seed) in enumerate([("pose", 0), ("pose", 1), ("paper", 0), ("paper", 1)]):
         write_swept(tmp_path / "swept" / str(job), parts, seed, f"intent={intent}", finished=job < 3)
+    (tmp_path / "swept" / "multirun.yaml").touch()
     monkeypatch.chdir(tmp_path)
     for stream in (console.out, console.err):
         stream.cache_clear()
@@ -44,7 +45,7 @@ def test_a_sweep_becomes_a_page_a_table_and_a_plot(work: Path, parts: "Parts") -
     # A row a run, one a variant, and the failed run with its reason.
     assert len(re.findall(r"<tr[ >]", text)) == 1 + 4 + 2 + 1 + 1
     assert text.count('class="summary"') == 2
-    assert "It holds neither train.json nor a checkpoint" in text
+    assert "It holds neither train.json nor begun.json" in text
 
 
 def test_the_csv_has_a_row_a_run_and_one_a_variant(work: Path) -> None:

@@ -21,6 +21,7 @@ def sweep(tmp_path: Path, parts: "Parts") -> Path:
     checkpoint = tmp_path / "2" / "checkpoints" / "latest.safetensors"
     checkpoint.parent.mkdir()
     checkpoint.touch()
+    (tmp_path / "multirun.yaml").touch()
     write_evaluation(tmp_path / "1" / "eval", parts, str(tmp_path / "1"))
     return tmp_path
 
@@ -98,6 +99,23 @@ def test_other_commands_are_no_runs_of_a_sweep(tmp_path: Path, parts: "Parts") -
     (tmp_path / "demo" / ".hydra").mkdir(parents=True)
     (tmp_path / "demo" / ".hydra" / "overrides.yaml").write_text("- task=shelf\n- command=demo\n")
     assert [Path(run.folder).name for run in find_sweep(tmp_path)] == ["0"]
+
+
+def test_a_run_that_paused_before_its_first_check_is_unfinished(tmp_path: Path, parts: "Parts") -> None:
+    place = tmp_path / "a run"
+    write_swept(place, parts, 0, finished=False)
+    (place / "begun.json").write_text("{}")
+    [run] = find_sweep(tmp_path)
+    assert run.state == "unfinished"
+    assert f"koopdqn train 'run={place}'" in run.reason
+
+
+def test_a_refused_command_is_no_run_of_a_folder(tmp_path: Path, parts: "Parts") -> None:
+    write_swept(tmp_path / "0", parts, 0)
+    write_swept(tmp_path / "1", parts, 1, finished=False)
+    assert [Path(run.folder).name for run in find_sweep(tmp_path)] == ["0"]
+    (tmp_path / "multirun.yaml").touch()
+    assert [run.state for run in find_sweep(tmp_path)] == ["finished", "failed"]
 
 
 def test_a_corrected_run_is_none_of_a_sweep(tmp_path: Path, parts: "Parts") -> None:

@@ -1,5 +1,6 @@
 """Results of runs below a folder: training reports, the newest evaluation of each, and what a sweep comes to."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, stdev
@@ -11,13 +12,15 @@ from koopdqn.errors import BadInputError
 from koopdqn.evaluation.schema import EvaluationFile
 from koopdqn.files import read_json, sha256_of
 from koopdqn.rl.schema import TrainReport
-from koopdqn.run_folder import CHECKPOINT, EVALUATION, POLICY, RECORD, TRAINING, check_plain
+from koopdqn.run_folder import BEGUN, CHECKPOINT, EVALUATION, POLICY, RECORD, TRAINING, check_plain
 from koopdqn.settings import Count, Fraction, Name, NonNegative, NonNegativeInt, ReportModel, flaw
 
 # What does not tell one variant from another.
 _OF_ONE_RUN: Final = ("command", "out", "run", "seed")
 QUANTITIES: Final = ("success_rate", "deviation_mm", "check_success_rate", "oracle_queries", "seconds")
 """What is compared over the runs of a sweep: keys of :class:`SweptRun` and of :class:`Variant`."""
+
+_MULTIRUN: Final = "multirun.yaml"
 
 Model = TypeVar("Model", bound=ReportModel)
 Evaluations = Sequence[tuple[Path, dict[str, Any]]]
@@ -80,7 +83,7 @@ class SweptRun(ReportModel):
     )
     seed: NonNegativeInt | None = Field(description="of the run; null if it is not known")
     state: Literal["finished", "unfinished", "failed"] = Field(
-        description="finished: with a train.json; unfinished: with a checkpoint alone, to go on from; failed: neither"
+        description="finished: with a train.json; unfinished: begun, to go on with; failed: neither"
     )
     reason: str = Field(description="why it is not finished; empty if it is")
     evaluation: Name | None = Field(description="file of its newest evaluation; null if there is none")
@@ -120,7 +123,8 @@ class Variant(ReportModel):
 def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
     """Return every training run below a folder with its newest evaluation, unfinished and failed ones included.
 
-    It is the folder of a Hydra multirun or any other; evaluations may lie ``elsewhere`` as well.
+    It is the folder of a Hydra multirun or any other; evaluations may lie ``elsewhere`` as well. A command that made
+    nothing is a failed job of a multirun, and no run elsewhere.
 
     Raises:
         BadInputError: the folder does not exist, or holds no training run.
@@ -128,7 +132,12 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
     if not folder.is_dir():
         raise BadInputError(f"report.sweep: must name a folder that exists, found {str(folder)!r}")
     given = {file.parents[1]: _given(file) for file in folder.rglob(str(RECORD))}
-    begun = {place for place, overrides in given.items() if overrides.get("command", "train") == "train"}
+    begun = {
+        place
+        for place, overrides in given.items()
+        if overrides.get("command", "train") == "train"
+        and (any(file.name != RECORD.parent.name for file in place.iterdir()) or (place.parent / _MULTIRUN).is_file())
+    }
     # A correction keeps the report of the training before it.
     corrected = {place for place, overrides in given.items() if overrides.get("command") == "correct"}
     # Jobs are numbered, and 2 comes before 10.
@@ -179,10 +188,11 @@ def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], eva
             content |= {"evaluation": str(file), "success_rate": evaluation["success_rate"]}
             content["deviation_mm"] = evaluation["path_deviation_mm"]["mean"]
         return SweptRun(state="finished", reason="", **content)
-    if (place / CHECKPOINT).is_file():
-        reason = f"It runs, or was stopped: `koopdqn train run={place}` goes on with it."
+    if (place / BEGUN).is_file() or (place / CHECKPOINT).is_file():
+        again = shlex.join(["koopdqn", "train", f"run={place}"])
+        reason = f"It runs, or was stopped: `{again}` goes on with it."
         return SweptRun(state="unfinished", reason=reason, **content)
-    reason = f"It holds neither {TRAINING} nor a checkpoint: it failed, or has only begun."
+    reason = f"It holds neither {TRAINING} nor {BEGUN}: it failed, or was stopped before it learned."
     return SweptRun(state="failed", reason=reason, **content)
 
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
@@ -175,10 +176,12 @@ def _learning(axes: Axes, spread_mm: Sequence[float], left_out_mm: Sequence[floa
         return
     axes.plot(np.arange(1, len(left_out_mm) + 1), left_out_mm, "o-", color=style.BLUE, label="one left out of n + 1")
     axes.set(xlabel="n", ylabel="[mm]")
-    axes.set_ylim(0.0, 1.1 * max(*left_out_mm, *spread_mm))
+    # With room for the legend above what is drawn.
+    axes.set_ylim(0.0, 1.35 * max(*left_out_mm, *spread_mm))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     second = axes.twiny()
     second.plot(_PLACES, spread_mm, "s--", color=style.PINK, label="spread along the path")
     second.set_xlabel("share of the path [%]")
     second.grid(visible=False)
     lines = [*axes.get_lines(), *second.get_lines()]
-    axes.legend(lines, [str(line.get_label()) for line in lines], loc="best")
+    axes.legend(lines, [str(line.get_label()) for line in lines], loc="upper center", ncols=2)

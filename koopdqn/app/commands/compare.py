@@ -1,6 +1,7 @@
 """``koopdqn compare``: trained runs of a task side by side, in one table and on one page."""
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,7 +93,11 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         mode="json"
     )
     write_json(folder / "compare.json", result)
-    missing = [f"not evaluated: {each.label}: koopdqn eval run={each.folder}" for each in found if not each.evaluation]
+    missing = [
+        f"not evaluated: {each.label}: {shlex.join(['koopdqn', 'eval', f'run={each.folder}'])}"
+        for each in found
+        if not each.evaluation
+    ]
     # Folders are long: in the terminal they stand above the tables, whose headings would be cut.
     named = [f"run {each.label}  {console.shown_path(Path(each.folder))}" for each in found]
     tables = [_table(listings[0]), _table(listings[1], without="folder")]

@@ -156,6 +156,10 @@ def _held_out(report: dict[str, Any], *, continuous: bool) -> list[RenderableTyp
 def holdout_table(report: dict[str, Any]) -> "Table":
     """Return the section ``holdout`` of ``eval.json`` as a table of one row per method, the policy first."""
     holdout, rows = report["holdout"], {}
+    count = holdout["demonstrations"]
+    begun = (
+        "the start of the held-out demonstration" if count == 1 else f"the starts of {count} held-out demonstrations"
+    )
     for name, method in {"policy": holdout["policy"], **(holdout["baselines"] or {})}.items():
         success, deviation, _, failures = _cells(method)
         apart = [value for value in holdout["hausdorff_mm"][name] if value is not None]
@@ -164,7 +168,7 @@ def holdout_table(report: dict[str, Any]) -> "Table":
     return _methods(
         ("method", "success", "Hausdorff", "deviation", "failures"),
         rows,
-        title=f"{report['task']}: from the starts of {holdout['demonstrations']} held-out demonstrations",
+        title=f"{report['task']}: from {begun}",
         caption="in mm; Hausdorff: the farthest from the held-out demonstration, median and largest",
     )
 

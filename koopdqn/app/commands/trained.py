@@ -1,5 +1,6 @@
 """What a finished training left in its folder, read back to look at it."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import recorded_arm
-from koopdqn.run_folder import CHECKPOINT, INTENT, POLICY, TRAINING
+from koopdqn.run_folder import BEGUN, CHECKPOINT, INTENT, POLICY, TRAINING
 from koopdqn.settings import load_settings, shown
 from koopdqn.tasks.demonstrated import DemonstratedTask
 from koopdqn.tasks.task import Task
@@ -104,6 +105,9 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         BadInputError: the file is missing, damaged, or holds what this release does not know.
     """
     policy = run / POLICY
+    if not policy.exists() and (run / BEGUN).is_file():
+        again = shlex.join(["koopdqn", "train", f"run={console.shown_path(run)}"])
+        raise BadInputError(f"run: must have been trained to its end, found it stopped on the way; {again} goes on")
     artifact = read_artifact(policy, "policy")
     about = artifact.about
     taken = "continuous" if "actions" in about else "table1"
