@@ -152,6 +152,8 @@ def _paths(
         axes.plot(x[:1], y[:1], "o", color=colour)
     axes.set(title=f"From {style.VIEWS[plane]}", xlabel="[m]", ylabel="[m]")
     axes.set_aspect("equal", adjustable="datalim")
+    # Ticks of two decimals: the layout is made before the aspect is known, and has no room for more.
+    axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
 
 
 def _shares(axes: Axes, each: Sequence[InspectedDemonstration], colours: Sequence[str]) -> None:
@@ -177,11 +179,11 @@ def _learning(axes: Axes, spread_mm: Sequence[float], left_out_mm: Sequence[floa
     axes.plot(np.arange(1, len(left_out_mm) + 1), left_out_mm, "o-", color=style.BLUE, label="one left out of n + 1")
     axes.set(xlabel="n", ylabel="[mm]")
     # With room for the legend above what is drawn.
-    axes.set_ylim(0.0, 1.35 * max(*left_out_mm, *spread_mm))
+    axes.set_ylim(0.0, 1.45 * max(*left_out_mm, *spread_mm))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     second = axes.twiny()
     second.plot(_PLACES, spread_mm, "s--", color=style.PINK, label="spread along the path")
     second.set_xlabel("share of the path [%]")
     second.grid(visible=False)
     lines = [*axes.get_lines(), *second.get_lines()]
-    axes.legend(lines, [str(line.get_label()) for line in lines], loc="upper center", ncols=2)
+    axes.legend(lines, [str(line.get_label()) for line in lines], loc="upper right")

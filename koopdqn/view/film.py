@@ -88,16 +88,15 @@ def write_film(
 
 
 def _write_gif(path: Path, frames: Iterator[Image], rate: int, advance: Callable[[float], None]) -> None:
-    def reduced() -> Iterator[PIL.Image.Image]:
-        shades = None
-        for frame in frames:
-            advance(1)
-            picture = PIL.Image.fromarray(frame)
-            # One palette for all, so that what stays the same is written once.
-            shades = shades or picture.quantize(128, dither=PIL.Image.Dither.NONE)
-            yield picture.quantize(palette=shades, dither=PIL.Image.Dither.NONE)
-
-    first, *rest = reduced()
+    made = []
+    for frame in frames:
+        advance(1)
+        made.append(frame)
+    # One palette for all, so that what stays the same is written once; the curves are whole in the last one alone.
+    shades = PIL.Image.fromarray(np.concatenate([made[0], made[-1]])).quantize(
+        method=PIL.Image.Quantize.MAXCOVERAGE, dither=PIL.Image.Dither.NONE
+    )
+    first, *rest = (PIL.Image.fromarray(frame).quantize(palette=shades, dither=PIL.Image.Dither.NONE) for frame in made)
     first.save(path, format="GIF", save_all=True, append_images=rest, duration=1000 // rate, loop=0)
 
 
