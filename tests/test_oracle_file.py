@@ -92,20 +92,34 @@ def test_what_is_no_answer_is_refused(tmp_path: Path, line: str, message: str) -
 
 
 def test_the_other_program_may_pause_the_run(tmp_path: Path) -> None:
-    oracle = opened(tmp_path)
-    with (tmp_path / "answers").open("a") as answers:
-        answers.write('{"number": 0, "pause": true}\n')
     with pytest.raises(PauseRequested):
-        oracle.answer(numbered(0))
+        opened(tmp_path, '{"number": 0, "pause": true}\n').answer(numbered(0))
 
 
 def test_a_pause_in_a_file_that_is_kept_does_not_pause_the_run_that_goes_on(tmp_path: Path) -> None:
-    pause, right = '{"number": 0, "pause": true}\n', '{"number": 0, "right": true}\n'
-    assert opened(tmp_path, pause + right).answer(numbered(0)).right
+    pause, right = '{"number": 2, "pause": true}\n', '{"number": 2, "right": true}\n'
+    for _ in range(2):
+        with pytest.raises(PauseRequested):
+            opened(tmp_path, pause).answer(numbered(2))
+        (tmp_path / "questions").write_text("")
+    with pytest.raises(PauseRequested):
+        opened(tmp_path, pause + right).answer(numbered(2))
+    assert opened(tmp_path, pause + right).answer(numbered(2)).right
     oracle = opened(tmp_path, pause)
-    with (tmp_path / "answers").open("a") as answers:
-        answers.write(right)
-    assert oracle.answer(numbered(0)).right
+    for line in (right, pause.replace("2", "3")):
+        with (tmp_path / "answers").open("a") as answers:
+            answers.write(line)
+    assert oracle.answer(numbered(2)).right
+    # What is written while it waits pauses it.
+    with pytest.raises(PauseRequested):
+        oracle.answer(numbered(3))
+
+
+@pytest.mark.parametrize("left", ["", "no json\n", "[1]\n", "{}\n"])
+def test_whatever_the_questions_file_holds_is_no_question(tmp_path: Path, left: str) -> None:
+    (tmp_path / "questions").write_text(left)
+    with pytest.raises(PauseRequested):
+        opened(tmp_path, '{"number": 0, "pause": true}\n').answer(numbered(0))
 
 
 def test_files_are_named_before_any_work(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The oracle of other programs: questions and answers as JSON lines over two pipes or files."""
 
+import contextlib
 import json
 import os
 import stat
@@ -71,6 +72,7 @@ class FileOracle(Oracle):
         """
         self._name = name
         self._answers_path = answers
+        self._asked = _last_asked(questions)
         self._questions = _opened(questions, os.O_WRONLY | os.O_APPEND)
         self._answers = _opened(answers, os.O_RDONLY)
         self._rest = b""
@@ -91,8 +93,8 @@ class FileOracle(Oracle):
             found = self._parsed(self._line())
             if found.number > question.number:
                 raise self._wrong(f"number: must be at most {question.number}, found {found.number}")
-            # What lay there before has paused the run already, which is going on.
-            spent = found.pause and self._passed <= self._old
+            # It has paused the run at this question already, which is asked anew.
+            spent = found.pause and self._passed <= self._old and question.number == self._asked
             if found.number == question.number and not spent:
                 break
         if found.pause:
@@ -130,6 +132,16 @@ def question_object(question: Question) -> dict[str, Any]:
     """Return a question as the JSON object that other programs read."""
     fields = {"kind": "question", **asdict(question)}
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
+
+
+def _last_asked(questions: Path) -> int | None:
+    """Return the number of the last question in a file; None if it is a pipe, or holds none."""
+    if not questions.is_file():
+        return None
+    last = questions.read_bytes().rstrip().rpartition(b"\n")[2]
+    with contextlib.suppress(ValueError, KeyError, TypeError):
+        return int(json.loads(last)["number"])
+    return None
 
 
 def _opened(path: Path, mode: int) -> int:
