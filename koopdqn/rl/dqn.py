@@ -239,7 +239,11 @@ class Learner(Networks):
                     torch.mm(after[:, units].t(), seen, out=found[units])
 
         self.online.in_halves(len(slope), pass_back)
-        side_by_side(weigh)
+        if self._device.type == "cpu":
+            side_by_side(weigh)
+        else:
+            weigh(0)
+            weigh(1)
         for after, found in zip(slopes, of_biases, strict=True):
             torch.sum(after, dim=0, out=found)
 
