@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from koopdqn import pose
 from koopdqn.demonstrations import preprocess
@@ -16,13 +16,12 @@ from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotati
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
 from koopdqn.pose import Array
-from koopdqn.settings import Fraction, Positive, Vector3
+from koopdqn.settings import Fraction, Positive
 from koopdqn.tasks.demonstrated import LEAST_WAY, DemonstratedTask, RotationType
-from koopdqn.tasks.obstacles import Obstacles
 from koopdqn.tasks.person import AnyPerson
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.step import TURNS_PER_STEP
-from koopdqn.tasks.task import TaskChoice, check_goal_moves_alone
+from koopdqn.tasks.task import TaskChoice
 from koopdqn.tasks.unfolding import Unfolding
 
 # The default step [m], and its bounds: it is shorter where a demonstration would have too few steps, longer where it
@@ -76,15 +75,6 @@ class Derivation(TaskChoice):
     held_limit_rad: Positive = Field(
         description="rotation distance from the goal up to which orientation counts as held [rad]"
     )
-    obstacles: Obstacles = Field(default=(), description="what stands in the scene and is kept clear of")
-    goal_half_range_m: Vector3 | None = Field(
-        default=None, description="half the region from which goals are drawn, along each axis; null: the goal stays"
-    )
-
-    @model_validator(mode="after")
-    def _check_goal(self) -> Self:
-        check_goal_moves_alone(self.goal_half_range_m, self.obstacles)
-        return self
 
     def derive(self, demonstrations: Demonstrations, *, continuous: bool = False, unfolds: bool = True) -> Derived:
         """Return the task of demonstrations.

@@ -32,16 +32,21 @@ _LEAST_CHORD_M = 1e-3
 _CONSTANT_YAW = 1.0
 
 
-def check_goal_moves_alone(half: Vector3 | None, obstacles: Obstacles) -> None:
-    """Raise ValueError if a goal moves within ``half`` its range [m] where obstacles stand still."""
-    if half is not None and obstacles:
-        raise ValueError(f"goal_half_range_m must be null where obstacles stand still, found {half}")
-
-
 class TaskChoice(Settings, ABC):
     """An option of the group ``task``: a task, or how one is made from demonstrations."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
+    obstacles: Obstacles = Field(default=(), description="what else stands in the scene and is kept clear of")
+    goal_half_range_m: Vector3 | None = Field(
+        default=None,
+        description="half the region along each axis from which goals are drawn, around the goal; null: it stays [m]",
+    )
+
+    @model_validator(mode="after")
+    def _check_goal_moves_alone(self) -> Self:
+        if (half := self.goal_half_range_m) is not None and self.obstacles:
+            raise ValueError(f"goal_half_range_m must be null where obstacles stand still, found {half}")
+        return self
 
 
 class Task(TaskChoice):
@@ -65,11 +70,6 @@ class Task(TaskChoice):
     person: AnyPerson = Field(description="who demonstrates and answers")
     variation_m: float = Field(ge=0, le=0.05, description="largest sideways wander of a demonstration [m]")
     least_clearance_m: float = Field(ge=0, description="between payload and scene at start and goal [m]")
-    obstacles: Obstacles = Field(default=(), description="what else stands in the scene and is kept clear of")
-    goal_half_range_m: Vector3 | None = Field(
-        default=None,
-        description="half the region along each axis from which goals are drawn, around the goal; null: it stays [m]",
-    )
 
     goal_moves: ClassVar[bool] = False
     """Whether the goal may move; not where what the demonstrations pass stands still."""
@@ -110,7 +110,6 @@ class Task(TaskChoice):
                 f"goal_half_range_m must be null for task {self.name}, whose demonstrations pass things that stand"
                 f" still, found {half}"
             )
-        check_goal_moves_alone(half, self.obstacles)
         if min(half) < 0 or max(half) == 0:
             raise ValueError(f"goal_half_range_m must not be negative, and above 0 along some axis, found {half}")
 
