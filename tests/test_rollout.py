@@ -7,7 +7,7 @@ from helpers_shelf import held_out, shelf, taught
 from koopdqn import pose
 from koopdqn.evaluation.baselines import Greedy, straight_path
 from koopdqn.pose import Array
-from koopdqn.tasks.actions import ACTIONS, reached_poses
+from koopdqn.tasks.actions import ACTIONS, reached_poses, twists_between
 from koopdqn.tasks.rollout import (
     FAILURES,
     RULE_BROKEN,
@@ -19,7 +19,7 @@ from koopdqn.tasks.rollout import (
     follow,
     roll_out,
 )
-from koopdqn.tasks.workcell import COLLISION, JUMP, UNREACHABLE
+from koopdqn.tasks.workcell import COLLISION, JUMP, UNREACHABLE, Motion
 
 TURN_TO_GOAL = ACTIONS.index("moves only in rotation toward the goal")
 TO_GOAL = ACTIONS.index("moves only in position toward the goal")
@@ -54,6 +54,68 @@ def test_success_is_the_first_pose_at_the_goal_and_the_episode_ends_there() -> N
     for episode in rolled(greedy()):
         assert episode.outcome == SUCCESS
         assert task.reached(episode.poses).tolist() == [False] * episode.steps + [True]
+
+
+def to_goal_in_twists(poses: Array, starts: Array) -> Array:
+    return twists_between(poses, np.repeat(shelf().task.goal[None], len(poses), axis=0), shelf().task)
+
+
+def beside_the_goal() -> tuple[Array, Array]:
+    """A start (1, 7) three tolerances in front of the goal, and its joints (1, 6)."""
+    cell = shelf()
+    episode = rolled(greedy(), 1)[0]
+    away = pose.position_distance(episode.poses, cell.task.goal)
+    row = [int(np.argmax(away < 3 * cell.task.goal_tolerance_m))]
+    return episode.poses[row], episode.joints[row]
+
+
+def test_twists_go_on_within_the_tolerance_to_the_goal_itself() -> None:
+    cell = shelf()
+    start, joints = beside_the_goal()
+    episode = roll_out(to_goal_in_twists, cell.task, cell.reachability, start, joints, 50)[0]
+    away = pose.position_distance(episode.poses, cell.task.goal)
+    assert episode.outcome == SUCCESS
+    assert (away <= cell.task.goal_tolerance_m).sum() >= 2
+    assert away[-1] < 1e-9
+    assert (np.diff(away) < 0).all()
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 0.05])
+def test_twists_within_the_tolerance_that_come_no_nearer_end_a_success(share: float) -> None:
+    """Away from the goal, nowhere, and hardly nearer: the step is not made."""
+    cell = shelf()
+    start, joints = beside_the_goal()
+
+    def choose(poses: Array, starts: Array) -> Array:
+        return to_goal_in_twists(poses, starts) * (share if cell.task.reached(poses)[0] else 1.0)
+
+    episode = roll_out(choose, cell.task, cell.reachability, start, joints, 50)[0]
+    assert episode.outcome == SUCCESS
+    assert cell.task.reached(episode.poses).tolist() == [False] * episode.steps + [True]
+
+
+def test_what_the_arm_cannot_do_within_the_tolerance_takes_no_success_away() -> None:
+    cell = shelf()
+    start, joints = beside_the_goal()
+
+    def moves(reached: Array, before: Array, joints: Array, starts: Array, steps: np.ndarray) -> list[Motion]:
+        if cell.task.reached(before)[0]:
+            return [Motion(None, COLLISION, "as if")]
+        return cell.reachability.move_batch(reached, joints)
+
+    episode = roll_out(to_goal_in_twists, cell.task, cell.reachability, start, joints, 50, moves=moves)[0]
+    assert (episode.outcome, episode.detail) == (SUCCESS, "")
+    assert cell.task.reached(episode.poses).sum() == 1
+
+
+def test_the_step_limit_within_the_tolerance_is_a_success() -> None:
+    cell = shelf()
+    start, joints = beside_the_goal()
+    whole = roll_out(to_goal_in_twists, cell.task, cell.reachability, start, joints, 50)[0]
+    first = int(np.argmax(cell.task.reached(whole.poses)))
+    assert first < whole.steps
+    episode = roll_out(to_goal_in_twists, cell.task, cell.reachability, start, joints, first)[0]
+    assert (episode.outcome, episode.steps) == (SUCCESS, first)
 
 
 def test_an_action_that_changes_nothing_is_stuck() -> None:

@@ -22,6 +22,9 @@ FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
 # Poses that differ by less [m, or in a quaternion's entries] are the same.
 _SAME_PLACE: Final = 1e-7
 
+# Within the goal's tolerance a step of a twist is made that brings the arm nearer to it by more than so many steps.
+_LEAST_GAIN: Final = 0.1
+
 Controller = Callable[[Array, Array], np.ndarray]
 """Chooses actions, indices (N,) or twists (N, 3 or 6), from poses (N, 7) of episodes that began at starts (N, 7)."""
 
@@ -78,11 +81,12 @@ def roll_out(
 ) -> list[Episode]:
     """Return the episodes of a controller from starts (N, 7) with joints (N, 6), at most ``limit`` steps each.
 
-    An action that the arm cannot carry out ends its episode as a failure. So does one that leaves the pose unchanged: a
-    controller without memory would repeat it until the limit. With ``cut_circles`` an episode that returns to one of
-    its poses ends there as a step limit, since it would go round in a circle until the limit. ``moves`` decides which
-    steps are made; None makes those that the arm can make. Where goals are ``moved`` (N, 3) [m], the starts are told as
-    seen from them, and the arm is so far off in the world.
+    An episode ends within the goal's tolerance; with twists, which can come to the goal itself, it goes on there while
+    they bring the arm nearer. An action that the arm cannot carry out ends its episode as a failure. So does one that
+    leaves the pose unchanged: a controller without memory would repeat it until the limit. With ``cut_circles`` an
+    episode that returns to one of its poses ends there as a step limit, since it would go round in a circle until the
+    limit. ``moves`` decides which steps are made; None makes those that the arm can make. Where goals are ``moved``
+    (N, 3) [m], the starts are told as seen from them, and the arm is so far off in the world.
     """
     seen: list[set[bytes]] = [set() for _ in starts]
     moved = np.zeros((len(starts), 3)) if moved is None else moved
@@ -95,7 +99,11 @@ def roll_out(
         poses = np.array([runs[i].poses[-1] for i in active])
         actions = controller(poses, starts[active])
         reached = reached_by(poses, actions, task)
-        _advance([runs[i] for i in active], reached, task, reachability, moves, starts[active])
+        if twists := actions.ndim > 1:
+            active, reached = _nearer(runs, active, reached, task)
+            if not active:
+                continue
+        _advance([runs[i] for i in active], reached, task, reachability, moves, starts[active], twists=twists)
         if task.unfolds:
             starts[active] = task.onward(np.array([runs[i].poses[-1] for i in active]), starts[active])
         if cut_circles:
@@ -135,9 +143,22 @@ class _Run:
     moved: Array
     outcome: str = ""
     detail: str = ""
+    there: bool = False
 
     def finished(self) -> Episode:
-        return Episode(np.array(self.poses), np.array(self.joints), self.outcome or STEP_LIMIT, self.detail, self.moved)
+        outcome = self.outcome or (SUCCESS if self.there else STEP_LIMIT)
+        return Episode(np.array(self.poses), np.array(self.joints), outcome, self.detail, self.moved)
+
+
+def _nearer(runs: list[_Run], active: list[int], reached: Array, task: Task) -> tuple[list[int], Array]:
+    """End those of the active runs that are at the goal and come no nearer to it; return the others and their poses."""
+    before = np.array([runs[i].poses[-1] for i in active])
+    gain = pose.position_distance(before, task.goal) - pose.position_distance(reached, task.goal)
+    on = task.reached(reached) & ~breaks_rule(task, reached) & (gain > _LEAST_GAIN * task.step_m)
+    on |= [not runs[i].there for i in active]
+    for row in np.flatnonzero(~on):
+        runs[active[row]].outcome = SUCCESS
+    return [active[row] for row in np.flatnonzero(on)], reached[on]
 
 
 def _advance(
@@ -147,6 +168,8 @@ def _advance(
     reachability: Reachability,
     moves: Moves | None,
     starts: Array,
+    *,
+    twists: bool = False,
 ) -> None:
     """Move runs from ``starts`` (N, 7) one step to the reached poses (N, 7), and set the outcome of those that end."""
     joints = np.array([run.joints[-1] for run in runs])
@@ -164,8 +187,9 @@ def _advance(
     ends = np.select([breaks_rule(task, reached), there, stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
     for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):
         if motion.joints is None:
-            run.outcome, run.detail = motion.reason, motion.detail
+            run.outcome, run.detail = (SUCCESS, "") if run.there else (motion.reason, motion.detail)
             continue
         run.poses.append(target)
         run.joints.append(motion.joints)
-        run.outcome = end
+        run.there = twists and end == SUCCESS
+        run.outcome = "" if run.there else end
