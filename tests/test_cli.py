@@ -104,6 +104,35 @@ def test_a_run_gets_its_config_and_a_folder_of_its_own(lab: Lab, capsys: pytest.
     assert streams.err == ""
 
 
+def free_names() -> None:
+    """Let the run folder have a default name, as in the package's own config."""
+    config = resources.conf_dir() / "config.yaml"
+    text = config.read_text().replace("out: runs/${task.name}", "out: ${free_folder:runs/${task.name}")
+    config.write_text(text.replace("-${command}\nhydra", "-${command}}\nhydra"))
+
+
+def test_a_refused_command_leaves_no_folder_behind(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
+    free_names()
+    lab.fail_with(BadInputError("demos: must exist"))
+    assert refused(capsys, "train") == "demos: must exist"
+    assert names(Path.cwd()) == []
+    # Others' folders stay, and so does what the command wrote before, or the folder asked for.
+    (Path.cwd() / "runs").mkdir()
+    assert refused(capsys, "train") == "demos: must exist"
+    assert names(Path.cwd()) == ["runs"]
+    assert refused(capsys, "train", "out=mine") == "demos: must exist"
+    assert names(Path.cwd()) == ["mine", "runs"]
+
+    def write_and_fail(command: str, config: DictConfig, folder: Path) -> CommandResult:
+        (folder / "demos.hdf5").write_text("")
+        raise BadInputError("it must fit")
+
+    lab.action = write_and_fail
+    assert refused(capsys, "train") == "it must fit"
+    [folder] = (Path.cwd() / "runs" / "shelf").iterdir()
+    assert names(folder) == [".hydra", "demos.hdf5"]
+
+
 def test_help_and_version_end_well(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in ([], ["--help"], ["-h"]):
         assert cli.main(arguments) == 0

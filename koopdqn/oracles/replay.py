@@ -117,8 +117,11 @@ class JournalledOracle(Oracle):
     def _asked(self, question: Question) -> Answer:
         while True:
             answer = self._oracle.answer(replace(question, earlier=tuple(self._earlier)))
-            check_answer(answer, question)
-            _check_said(answer, len(self._earlier), question)
+            try:
+                check_answer(answer, question)
+                _check_said(answer, len(self._earlier), question)
+            except BadInputError as error:
+                raise BadInputError(f"the answer to question {question.number}: {error}") from error
             for _ in range(answer.undo):
                 self._file.append(_undo_line(self._earlier.pop(), question))
             self._pending += answer.undo

@@ -143,8 +143,9 @@ def export(config: Configuration, folder: Path) -> CommandResult:
 def sources_of(config: Configuration, purpose: str) -> tuple[str, ...]:
     """Return what ``demos=`` names; BadInputError if it is not given."""
     if config.inputs.demos is None:
+        instead = "; run=DIR exports a learned path" if purpose == "export" else ""
         raise BadInputError(
-            f"demos: must name the files to {purpose} (one, several in brackets, or a glob), found none"
+            f"demos: must name the files to {purpose} (one, several in brackets, or a glob), found none{instead}"
         )
     return config.inputs.demos
 

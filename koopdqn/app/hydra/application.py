@@ -200,8 +200,12 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
     os.environ["HYDRA_FULL_ERROR"] = "1"
     # Hydra adds a line of its own for a failed job, which says nothing the error does not
     sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
+    refused = False
     try:
         hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")(job)()
+    except BadInputError:
+        refused = True
+        raise
     finally:
         sys.argv, sys.stderr = before[:2]
         log.handlers[:] = handlers
@@ -211,7 +215,7 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
         else:
             os.environ["HYDRA_FULL_ERROR"] = before[2]
         register_resolver(check=False)
-        release_taken()
+        release_taken(refused=refused)
 
 
 @contextlib.contextmanager

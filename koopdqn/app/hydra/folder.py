@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +15,8 @@ from koopdqn.run_folder import RECORD, check_plain, hold, release
 _OF_A_SWEEP: Final = "multirun.yaml"
 
 _held: list[Path] = []
+# Folders of default names that this process made, each with those above it that were not there either.
+_made: list[list[Path]] = []
 
 
 def register_resolver(*, check: bool) -> None:
@@ -75,12 +78,14 @@ def _taken(path: object) -> str:
     # The name holds the task's, which nothing has checked yet.
     if ".." in wanted.parts or not str(path).isprintable():
         raise BadInputError(f"task.name: must be a name that a folder can have, found one that makes {str(path)!r}")
+    above = [each for each in wanted.parents if not each.exists()]
     require_writable(wanted.parent)
     for number in itertools.count(1):
         folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
         with contextlib.suppress(FileExistsError):
             # of two commands started at once only one succeeds here
             folder.mkdir()
+            _made.append([folder, *above])
             break
     return str(folder)
 
@@ -103,7 +108,19 @@ def _checked(path: object) -> str:
     return text
 
 
-def release_taken() -> None:
-    """Unlock the run folders that the resolver has taken."""
+def release_taken(*, refused: bool) -> None:
+    """Unlock the run folders that the resolver has taken.
+
+    Of a command that was ``refused`` those of default names are removed where nothing but Hydra's record lies in them.
+    """
     while _held:
         release(_held.pop())
+    while _made:
+        folder, *above = _made.pop()
+        if not refused or not folder.is_dir() or {each.name for each in folder.iterdir()} - {RECORD.parent.name}:
+            continue
+        shutil.rmtree(folder)
+        with contextlib.suppress(OSError):
+            # Another command may have begun there.
+            for each in above:
+                each.rmdir()
