@@ -41,11 +41,17 @@ def test_a_run_is_evaluated_with_its_own_task_arm_and_reward(
     assert read_json(tmp_path / "eval" / "eval.json", "the evaluation")["episodes"] == 3
 
 
-def test_an_evaluation_tells_of_obstacles_that_the_policy_was_trained_without(run: Path, tmp_path: Path) -> None:
+def test_an_evaluation_tells_of_obstacles_that_the_policy_was_trained_without(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "scene.yaml").write_text("- {name: ball, shape: sphere, center_m: [-0.5, 0.5, 0.2], radius_m: 0.05}")
     for name, given in {"plain": [], "among": [f"obstacles={tmp_path / 'scene.yaml'}"]}.items():
         assert cli.main(["eval", f"run={run}", *given, *EVALUATING, f"out={tmp_path / name}"]) == 0
+        assert ("obstacles that the policy never saw" in capsys.readouterr().out) == (name == "among")
         assert read_json(tmp_path / name / "eval.json", "the evaluation")["as_trained"] == (name == "plain")
+        assert cli.main(["view", f"run={run}", *given, "view.starts=1", f"out={tmp_path / name}-view"]) == 0
+        page = (tmp_path / f"{name}-view" / "view.html").read_text(encoding="utf-8")
+        assert ("obstacles that the policy never saw" in page) == (name == "among")
 
 
 @pytest.mark.parametrize("given", ["eval.start_scale=2", "robot=ur5e"])

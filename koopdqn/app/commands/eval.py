@@ -56,9 +56,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
             pipeline.held_out_of(config),
             config.guard,
         )
-    added = bool(config.task.obstacles) and not about["task"].get("obstacles")
     another_arm = differs_from_trained(config.robot, about["robot"])
-    as_trained = not (added or another_arm) and config.eval.goal is None and config.eval.start_scale == 1.0
+    as_trained = (
+        not (trained.obstacles_added or another_arm) and config.eval.goal is None and config.eval.start_scale == 1.0
+    )
     content = {**evaluation.report, "run": str(source), "as_trained": as_trained, "policy": sha256_of(source / POLICY)}
     report = EvaluationFile.model_validate(content).model_dump(mode="json")
     write_json(folder / EVALUATION, report)
@@ -68,6 +69,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
+        *(["led around      obstacles that the policy never saw"] if trained.obstacles_added else []),
         table(report),
         *off(report, "the demonstrator's own path", continuous=config.agent.continuous),
         *_guarded(report["dynamics"]),

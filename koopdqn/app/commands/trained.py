@@ -63,6 +63,11 @@ class TrainedRun:
     step_limit: int
     referred: bool
 
+    @property
+    def obstacles_added(self) -> bool:
+        """Whether obstacles stand in the scene that the policy never saw, and is led around."""
+        return bool(self.workcell.task.obstacles) and not self.about["task"].get("obstacles")
+
 
 def read_trained(config: Configuration, source: Path) -> TrainedRun:
     """Return the training in a folder.
