@@ -21,6 +21,7 @@ from koopdqn.demonstrations.preprocess import trim_idle_each
 from koopdqn.demonstrations.reading import read_demonstrations, read_files, together
 from koopdqn.demonstrations.recordings.load import MEASURED, Loaded
 from koopdqn.errors import BadInputError, WorkFailedError
+from koopdqn.oracles.base import PauseRequested
 from koopdqn.oracles.terminal.device import check_graphics, require_terminal
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
@@ -57,11 +58,13 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     require_terminal("source=keyboard", "use source=scripted, or koopdqn import demos=FILE for demonstrations of yours")
     check_graphics(graphics, "demo.keyboard.graphics")
     workcell = pipeline.open_scene(config)
-    path = folder / DEMONSTRATIONS
+    path, goes_on = folder / DEMONSTRATIONS, how_to_go_on("demo", folder)
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
-        record(recording, workcell, graphics, console.shown_path(path))
+        try:
+            record(recording, workcell, graphics, console.shown_path(path))
+        except PauseRequested as paused:
+            raise PauseRequested(f"{paused}; {goes_on}") from paused
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
-    goes_on = how_to_go_on("demo", folder)
     if demonstrations is None:
         raise WorkFailedError(f"no demonstration was kept: e marks the end of one; {goes_on} ({moves} moves under way)")
     remarks = [f"{moves} moves are under way; {goes_on}"] if moves else []
