@@ -143,8 +143,16 @@ def test_what_is_wrong_is_named(tmp_path: Path, lines: list[str], words: tuple[s
 
 
 def test_binary_content_is_no_csv(tmp_path: Path) -> None:
-    with pytest.raises(BadInputError, match="must be a file of text, HDF5"):
+    with pytest.raises(BadInputError, match="must be a table in text, HDF5"):
         read_csv(written(tmp_path, b"t,x\n\x00\x01\xff\xfe"))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("trajectory.json", "JSON"), ("trajectory.yaml", "YAML")])
+def test_text_that_is_no_table_is_named(tmp_path: Path, name: str, kind: str) -> None:
+    path = tmp_path / name
+    path.write_text('{"points": [[0, 1], [2, 3]]}')
+    with pytest.raises(BadInputError, match=f"must be a table in text, .* found {kind} at"):
+        load(path, NOTHING, None)
 
 
 def test_one_odd_byte_is_no_reason_to_refuse_a_file(tmp_path: Path) -> None:

@@ -164,6 +164,7 @@ def test_an_stl_file_in_text_is_read_as_any_other(tmp_path: Path) -> None:
         ),
         ("hello", "must be a list, each item a group of keys, found {'hello'"),
         ("5", "must be YAML"),
+        ("", "must be a list, each item a group of keys, found nothing in it"),
         ("obstacles: ${a}", "must be a list"),
         ("a: [", "must be YAML"),
     ],

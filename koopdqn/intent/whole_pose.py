@@ -17,7 +17,7 @@ from koopdqn.intent.augment import SPACING_M, PursuitPath
 from koopdqn.intent.koopman import KoopmanModel
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Observables, RandomFourier
-from koopdqn.paths import mean_poses, to_count
+from koopdqn.paths import mean_poses, to_count, way_lengths
 from koopdqn.pose import Array
 from koopdqn.settings import Interval
 from koopdqn.tasks.start_frame import STILL, StartFrame
@@ -26,6 +26,10 @@ from koopdqn.tasks.task import Task
 
 # Position, and the entries of R − I.
 _PLACE, _TURN = slice(0, 3), slice(3, 12)
+# Starts nearer together than this [m] do not tell how their offsets fade.
+_LEAST_SPREAD_M = 1e-6
+# Over which share of the way their offsets fade, at least and at most; slower ones are the start frame's.
+_FADING = 0.005, 0.125
 # What names of the start frame's arrays begin with.
 _FRAME = "frame_"
 
@@ -51,6 +55,9 @@ class WholePoseSettings(IntentSettings):
     far: float = Field(gt=0, description="largest distance of these, in units of the demonstrations' spread")
     far_rad: float = Field(gt=0, description="standard deviation of their rotation [rad]")
     lead_back_steps: float = Field(gt=0, description="distance over which they lead back, in steps of the agent")
+    from_middle: bool = Field(
+        default=False, description="whether the mean path is moved to begin in the middle of the task's start region"
+    )
     touching_m: float = Field(
         ge=0,
         description="where the path passes itself nearer than this in another direction, the later part counts [m]",
@@ -115,6 +122,8 @@ class WholePoseSettings(IntentSettings):
         it within some steps. Their orientations are random too, and turn to that of the path.
         """
         mean = mean_poses(trajectories)
+        if self.from_middle and task.demonstrated_middle is not None:
+            mean = _moved_to(task.demonstrated_middle, mean, trajectories)
         path = PursuitPath.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
         shown = to_count(mean, len(path.points))
         rng = np.random.default_rng(self.seed)
@@ -192,6 +201,45 @@ class WholePoseIntent(IntentModel):
             **({"in_full": np.array(True)} if self.in_full else {}),
             **{f"{_FRAME}{name}": values for name, values in self.start_frame.arrays().items()},
         }
+
+
+def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
+    """Return the mean (N, 7) of trajectories (N, 7) as if they had begun around a ``middle`` (3,) [m].
+
+    A few starts lie beside the middle of the region that they were drawn from, and the mean path begins there: the mean
+    start is a control variate of it. What it is off fades over the arc length s as e^(−s/ℓ), with the ℓ by which the
+    demonstrations' own offsets from the mean do, taken at right angles to it (least squares): those along it also tell
+    how far the shares of two ways are apart. From all of the region behind its beginning the path is led to as it
+    begins, so that what is left there to chance must not turn it: up to 2ℓ it is the cubic that leaves the middle
+    straight and runs into what follows. Where all begin alike, the mean stays as it is.
+    """
+    from scipy.optimize import minimize_scalar
+
+    places, arc = mean[:, pose.POSITION], way_lengths(mean)
+    directions = np.gradient(places, axis=0)
+    directions /= np.maximum(pose.norm(directions, keepdims=True), 1e-12)
+    aligned = np.array([to_count(rows, len(mean), way_lengths(rows))[:, pose.POSITION] for rows in trajectories])
+    off = aligned - places
+    if pose.norm(off[:, 0]).max() < _LEAST_SPREAD_M:
+        return mean
+    begun, left = _across(np.broadcast_to(off[:, :1], off.shape), directions), _across(off, directions)
+
+    def error(length: float) -> float:
+        return float(((left - np.exp(-arc / length)[:, None] * begun) ** 2).sum())
+
+    length = minimize_scalar(error, bounds=arc[-1] * np.array(_FADING), method="bounded").x
+    moved = places - np.exp(-arc / length)[:, None] * (places[0] - middle)
+    joined = max(1, int(np.searchsorted(arc, 2.0 * length)))
+    way, onward = moved[joined] - middle, moved[min(joined + 1, len(moved) - 1)] - moved[joined - 1]
+    onward *= pose.norm(way) / max(float(pose.norm(onward)), 1e-12)
+    share = (arc[:joined] / arc[joined])[:, None]
+    moved[:joined] = middle + share * (1.5 * way - 0.5 * onward) + share**3 * (0.5 * onward - 0.5 * way)
+    return pose.make(moved, mean[:, pose.QUATERNION])
+
+
+def _across(vectors: Array, directions: Array) -> Array:
+    """Return the parts of vectors (..., N, 3) at right angles to unit vectors (N, 3)."""
+    return np.asarray(vectors - (vectors * directions).sum(axis=-1, keepdims=True) * directions)
 
 
 def _state(poses: Array, goal: Array, spread: float) -> Array:

@@ -104,6 +104,11 @@ class DemonstratedTask(Task):
         return self.turning == "full"
 
     @property
+    def demonstrated_middle(self) -> None:
+        """Nothing: the start region was made from the demonstrations."""
+        return None
+
+    @property
     def unfolds(self) -> bool:
         """Whether the path passes itself."""
         return self.passes_itself

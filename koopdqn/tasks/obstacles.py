@@ -129,6 +129,8 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
         content: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
     except (yaml.YAMLError, UnicodeDecodeError, OmegaConfBaseException, OSError) as error:
         raise BadInputError(f"obstacles {path}: must be YAML, found {' '.join(str(error).split())}") from error
+    if content == {}:
+        raise BadInputError(f"obstacles {path}: must be a list, each item a group of keys, found nothing in it")
     found = content if isinstance(content, dict) else {"obstacles": content}
     if "obstacles" not in found:
         raise BadInputError(f"obstacles {path}: must be a list, each item a group of keys, found {shown(content)}")

@@ -222,6 +222,11 @@ class Task(TaskChoice):
         """The middle of the start region, a pose (7,)."""
         return pose.make(self.waypoints[0], self.start_quaternion)
 
+    @property
+    def demonstrated_middle(self) -> Array | None:
+        """The middle (3,) [m] of where :meth:`draw_demonstrated_starts` draws; None if demonstrations alone tell it."""
+        return np.asarray(self.nominal_start[pose.POSITION])
+
     @cached_property
     def reference_path(self) -> ReferencePath:
         """The path for the person to follow: :attr:`waypoint_path`, unless a task says otherwise."""

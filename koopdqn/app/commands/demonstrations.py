@@ -21,7 +21,6 @@ from koopdqn.demonstrations.preprocess import trim_idle_each
 from koopdqn.demonstrations.reading import read_demonstrations, read_files, together
 from koopdqn.demonstrations.recordings.load import MEASURED, Loaded
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.oracles.base import PauseRequested
 from koopdqn.oracles.terminal.device import check_graphics, require_terminal
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
@@ -62,8 +61,9 @@ def _recorded(config: Configuration, folder: Path) -> CommandResult:
     with closing(Recording(workcell, config.demo, config.inputs.seed, folder, DEMONSTRATIONS)) as recording:
         try:
             record(recording, workcell, graphics, console.shown_path(path))
-        except PauseRequested as paused:
-            raise PauseRequested(f"{paused}; {goes_on}") from paused
+        except BaseException as error:
+            error.add_note(goes_on)
+            raise
     moves, demonstrations = recording.recorder.state.moves, recording.demonstrations()
     if demonstrations is None:
         raise WorkFailedError(f"no demonstration was kept: e marks the end of one; {goes_on} ({moves} moves under way)")

@@ -85,6 +85,8 @@ _SIGNS: Final = (
     (0, b"MATLAB 5.0 MAT-file", "", _MATLAB, "it begins as a MATLAB 5 file"),
 )
 _PICKLES: Final = (".pkl", ".pickle", ".p", ".pt", ".pth", ".joblib", ".dill")
+_STRUCTURED: Final = {".json": "JSON", ".yaml": "YAML", ".yml": "YAML"}
+"""Text that is no table, such as exported trajectories."""
 
 
 @dataclass(frozen=True)
@@ -176,11 +178,13 @@ def _kind_of(path: Path, head: bytes) -> tuple[Kind, str]:
     for place, sign, suffix, kind, why in _SIGNS:
         if head[place:].startswith(sign) and suffix in ("", path.suffix.lower()):
             return kind, why
-    if text.is_text(head):
+    structured = _STRUCTURED.get(path.suffix.lower())
+    if text.is_text(head) and structured is None:
         return _TEXT, "it is text"
+    found = (structured or "something else") if head else "an empty file"
     raise BadInputError(
-        f"demonstrations must be a file of text, HDF5, npy, npz, MATLAB, Parquet, a ROS bag or MCAP, found"
-        f" {'something else' if head else 'an empty file'} at {path}"
+        f"demonstrations must be a table in text, HDF5, npy, npz, MATLAB, Parquet, a ROS bag or MCAP, found {found} at"
+        f" {path}"
     )
 
 

@@ -1,0 +1,72 @@
+"""The mean path from the middle of the start region (``intent.from_middle``)."""
+
+import numpy as np
+import pytest
+from parts import load_parts
+
+from koopdqn.intent.whole_pose import WholePoseSettings
+from koopdqn.pose import Array
+from koopdqn.tasks.task import Task
+
+STEPS, FIRST = 400, 25
+
+
+@pytest.fixture(scope="module")
+def shelf() -> tuple[Task, WholePoseSettings]:
+    """The shelf, and an intent from the middle of its start region."""
+    parts = load_parts("intent=gentle")
+    assert isinstance(parts.intent, WholePoseSettings)
+    return parts.task, parts.intent
+
+
+def beside(task: Task, offsets: Array, fading_m: float) -> list[Array]:
+    """Return the nominal path begun at ``offsets`` (D, 3) [m] from it, which fade as exp(−s / fading_m)."""
+    path = task.demonstrator.roll_out(task.nominal_start, STEPS)
+    arc = np.arange(len(path)) * task.step_m
+    shown = []
+    for offset in offsets:
+        rows = path.copy()
+        rows[:, :3] += np.exp(-arc / fading_m)[:, None] * offset
+        shown.append(rows)
+    return shown
+
+
+def off_the_path(task: Task, settings: WholePoseSettings, shown: list[Array]) -> float:
+    """Return the farthest [m] that the model of demonstrations leaves the nominal path within its first steps."""
+    rolled = settings.fit(shown, task).roll_out(task.nominal_start[None], FIRST, task.step_m)[:, 0, :3]
+    path = task.nominal_path
+    return float(np.linalg.norm(path.at(path.nearest(rolled)) - rolled, axis=1).max())
+
+
+@pytest.mark.parametrize("fading_m", [0.04, 0.08])
+def test_demonstrations_from_beside_the_middle_teach_the_path_from_the_middle(
+    shelf: tuple[Task, WholePoseSettings], fading_m: float
+) -> None:
+    task, settings = shelf
+    offsets = np.array([[0.03, 0.0, 0.02], [0.0, 0.025, 0.01], [0.01, 0.02, -0.01]])
+    shown = beside(task, offsets, fading_m)
+    as_they_are = settings.model_copy(update={"from_middle": False})
+    assert off_the_path(task, settings, shown) < 0.3 * off_the_path(task, as_they_are, shown)
+
+
+def same(task: Task, settings: WholePoseSettings, shown: list[Array]) -> bool:
+    """Return whether the model is the same to the bit with and without ``from_middle``."""
+    models = [settings.model_copy(update={"from_middle": each}).fit(shown, task) for each in (True, False)]
+    return np.array_equal(*(each.arrays()["matrix"] for each in models))
+
+
+def test_the_mean_stays_where_nothing_tells_how_offsets_fade(shelf: tuple[Task, WholePoseSettings]) -> None:
+    task, settings = shelf
+    offset = np.array([[0.03, 0.0, 0.02]])
+    assert same(task, settings, beside(task, offset, 0.02))
+    assert same(task, settings, beside(task, np.repeat(offset, 3, axis=0), 0.02))
+
+
+def test_the_mean_stays_where_the_start_region_was_made_from_the_demonstrations(
+    shelf: tuple[Task, WholePoseSettings], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task, settings = shelf
+    shown = beside(task, np.array([[0.03, 0.0, 0.02], [0.0, 0.02, 0.0]]), 0.02)
+    assert not same(task, settings, shown)
+    monkeypatch.setattr(type(task), "demonstrated_middle", None)
+    assert same(task, settings, shown)
