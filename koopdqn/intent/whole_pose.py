@@ -30,6 +30,8 @@ _PLACE, _TURN = slice(0, 3), slice(3, 12)
 _LEAST_SPREAD_M = 1e-6
 # Over which share of the way their offsets fade, at least and at most; slower ones are the start frame's.
 _FADING = 0.005, 0.125
+# So much of the way is straightened at most: more would lose its shape.
+_STRAIGHTENED = 0.1
 # What names of the start frame's arrays begin with.
 _FRAME = "frame_"
 
@@ -210,8 +212,8 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     start is a control variate of it. What it is off fades over the arc length s as e^(−s/ℓ), with the ℓ by which the
     demonstrations' own offsets from the mean do, taken at right angles to it (least squares): those along it also tell
     how far the shares of two ways are apart. From all of the region behind its beginning the path is led to as it
-    begins, so that what is left there to chance must not turn it: up to 2ℓ it is the cubic that leaves the middle
-    straight and runs into what follows. Where all begin alike, the mean stays as it is.
+    begins, so that what is left there to chance must not turn it: up to 2ℓ, of a tenth of the way at most, it is the
+    cubic that leaves the middle straight and runs into what follows. Where all begin alike, the mean stays as it is.
     """
     from scipy.optimize import minimize_scalar
 
@@ -229,7 +231,7 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
 
     length = minimize_scalar(error, bounds=arc[-1] * np.array(_FADING), method="bounded").x
     moved = places - np.exp(-arc / length)[:, None] * (places[0] - middle)
-    joined = max(1, int(np.searchsorted(arc, 2.0 * length)))
+    joined = max(1, int(np.searchsorted(arc, min(2.0 * length, _STRAIGHTENED * arc[-1]))))
     way, onward = moved[joined] - middle, moved[min(joined + 1, len(moved) - 1)] - moved[joined - 1]
     onward *= pose.norm(way) / max(float(pose.norm(onward)), 1e-12)
     share = (arc[:joined] / arc[joined])[:, None]
