@@ -257,10 +257,21 @@ def test_eval_executes_a_stopped_path_only_up_to_there() -> None:
     assert isinstance(stopped["guard"], dict)
     assert stopped["guard"]["causes"][SPEED] == 2
     assert stopped["episodes"] == 0
+    # Executed at half speed a step of 0.105 m/s takes twice as long.
+    assert dynamics(SETTINGS.model_copy(update={"tool_speed_m_s": 0.1})) == watched
 
 
 def test_export_refuses_a_path_that_the_guard_stops() -> None:
     policy = Greedy(taught().model, shelf().task)
     assert make_program(shelf(), policy, CONFIG.program, 900, guard=guard()).task == "shelf"
-    with pytest.raises(WorkFailedError, match=r"found speed after 0 steps .* at most 0.05 m/s"):
-        make_program(shelf(), policy, CONFIG.program, 900, guard=guard(tool_speed_m_s=0.05))
+    with pytest.raises(WorkFailedError, match=r"found collision after \d+ steps .* must keep 24 mm"):
+        make_program(shelf(), policy, CONFIG.program, 900, guard=guard(clearance_m=0.024))
+
+
+def test_a_program_is_as_slow_as_the_guard_asks() -> None:
+    known = taught()
+    allowed = SETTINGS.model_copy(update={"tool_speed_m_s": 0.05})
+    keeper = Guard(shelf(), allowed, known.trust, known.model.start_frame, time_scale=None)
+    program = make_program(shelf(), Greedy(known.model, shelf().task), CONFIG.program, 900, guard=keeper)
+    tool = np.linalg.norm(np.diff(program.motion.poses[:, :3], axis=0), axis=1) / program.motion.period
+    assert 0.04 < tool.max() <= 0.05

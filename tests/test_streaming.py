@@ -89,6 +89,13 @@ def test_a_protective_stop_ends_it_with_its_name() -> None:
     assert len(told.streamed) == made.sent
 
 
+def test_a_controller_that_is_gone_ends_it() -> None:
+    with controller(ARM.home, vanish_after=12):
+        made = stream(HOST, MOTION, lambda: False)
+    assert 11 <= made.sent < 59
+    assert made.stopped.startswith("the connection lost")
+
+
 def test_reading_sends_nothing_and_an_arm_that_stands_elsewhere_is_told_where() -> None:
     elsewhere = (np.array(ARM.home) + np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0])).tolist()
     off = pytest.raises(WorkFailedError, match=r"joint 3 0\.300 rad off; 'start=\[3\.1166,")

@@ -6,6 +6,7 @@ script of ur_rtde does: it waits for a command in integer register 0 and takes i
 
 import contextlib
 import json
+import os
 import socket
 import struct
 import subprocess
@@ -52,11 +53,11 @@ class Controller:
         connections: how often RTDE was connected to.
     """
 
-    def __init__(self, joints: Sequence[float], fault_after: int) -> None:
+    def __init__(self, joints: Sequence[float], fault_after: int, vanish_after: int) -> None:
         self.joints = list(joints)
         self.commands: list[tuple[float, int, list[float]]] = []
         self.scripts = self.connections = 0
-        self._fault_after, self._streamed = fault_after, 0
+        self._fault_after, self._vanish_after, self._streamed = fault_after, vanish_after, 0
         self._state, self._playing = _READY, False
         self._open = True
         self._sockets: list[socket.socket] = []
@@ -164,6 +165,8 @@ class Controller:
         elif command != SERVOJ:
             self._state = _DONE
         self._streamed += command == SERVOJ
+        if 0 < self._vanish_after <= self._streamed:
+            os._exit(0)
 
     def _report(self, connected: socket.socket, outputs: list[str], hertz: float) -> None:
         begun = time.monotonic()
@@ -196,6 +199,9 @@ class Controller:
         return [0.0] * 6 if vector else [known.get(name, 0)]
 
 
+_NOTHING: Final = '{"commands": [], "scripts": 0, "connections": 0}'
+
+
 @dataclass
 class Log:
     """What a controller was told; it is filled when its block ends."""
@@ -216,14 +222,15 @@ class Log:
 
 
 @contextlib.contextmanager
-def controller(joints: Sequence[float], fault_after: int = 0) -> Iterator[Log]:
+def controller(joints: Sequence[float], fault_after: int = 0, vanish_after: int = 0) -> Iterator[Log]:
     """Run a controller in a process of its own, since ur_rtde waits for it without letting other threads run.
 
     Args:
         joints: where its arm stands (6,) [rad].
         fault_after: servoj commands after which it reports a protective stop; 0 never.
+        vanish_after: servoj commands after which it is gone, and what it was told with it; 0 never.
     """
-    command = [sys.executable, __file__, str(fault_after), *map(str, joints)]
+    command = [sys.executable, __file__, str(fault_after), str(vanish_after), *map(str, joints)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         log = Log()
         assert process.stdout is not None
@@ -231,13 +238,13 @@ def controller(joints: Sequence[float], fault_after: int = 0) -> Iterator[Log]:
         try:
             yield log
         finally:
-            told: dict[str, Any] = json.loads(process.communicate("")[0])
+            told: dict[str, Any] = json.loads(process.communicate("")[0] or _NOTHING)
             log.commands, log.scripts, log.connections = told["commands"], told["scripts"], told["connections"]
 
 
-def main(fault_after: str, *joints: str) -> None:
+def main(fault_after: str, vanish_after: str, *joints: str) -> None:
     """Serve until standard input ends, then write what was told."""
-    with Controller([float(angle) for angle in joints], int(fault_after)) as served:
+    with Controller([float(angle) for angle in joints], int(fault_after), int(vanish_after)) as served:
         print("ready", flush=True)
         sys.stdin.read()
         told = {"commands": served.commands, "scripts": served.scripts, "connections": served.connections}

@@ -155,7 +155,11 @@ def _dynamics(
 ) -> DynamicsReport:
     chosen = [episode for episode in episodes if episode.outcome == SUCCESS][: settings.dynamics_episodes]
     tube = tube_of(policy, reward.trust)
-    keeper = None if guard is None else Guard(workcell, guard, tube, reward.model.start_frame)
+    keeper = (
+        None
+        if guard is None
+        else Guard(workcell, guard, tube, reward.model.start_frame, time_scale=settings.time_scale)
+    )
     executions, near = [], []
     for episode in chosen:
         joints, durations = episode.joints, settings.time_scale * workcell.reachability.durations(episode.joints)

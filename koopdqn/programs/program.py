@@ -75,7 +75,7 @@ def make_program(
         settings.speed_share * np.array(arm.velocity_limits),
         np.full(len(arm.joint_names), settings.acceleration_rad_s2),
         np.full(len(arm.joint_names), settings.jerk_rad_s3),
-        settings.tool_speed_m_s,
+        settings.tool_speed_m_s if guard is None else min(settings.tool_speed_m_s, guard.settings.tool_speed_m_s),
     )
     start, joints = _start(workcell, settings, placement)
     episode = _learned(workcell, policy, start, joints, step_limit, placement, guard)

@@ -1,10 +1,17 @@
-"""A program sent to a UR's controller sample by sample while the arm moves, over RTDE by the library ur_rtde."""
+"""A program sent to a UR's controller sample by sample while the arm moves, over RTDE by the library ur_rtde.
+
+Where the connection is lost ur_rtde tries to come back without end, and neither a key nor Ctrl-C gets through to
+Python. So a process of its own talks to the controller, and this one watches the keys, and ends it if it falls silent.
+"""
 
 import contextlib
+import signal
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any, Final, cast
 
 import numpy as np
 from pydantic import Field
@@ -20,6 +27,13 @@ OFF_RAD: Final = 0.5
 """Most that a joint may be off what it was sent: servoj follows about 0.1 s behind [rad]."""
 LATE_S: Final = 0.1
 """Most that a sample may be sent late [s]."""
+SILENT_S: Final = 1.0
+"""How long nothing may come of a sample before the connection counts as lost [s]."""
+_CONNECTING_S: Final = 30.0
+# What the process that talks to the controller says: before a sample, at the end, or instead of one.
+_ASKED, _ENDED, _FAILED = "asked", "ended", "failed"
+# To stop the arm, before the process that talks to it is killed.
+_ENDING_S: Final = 5.0
 _STOP_RAD_S2: Final = 10.0
 _RUNNING: Final = 7
 """The controller's robot mode when the arm is powered and its brakes are released."""
@@ -79,39 +93,83 @@ def stream(host: str, motion: Motion, stop: Callable[[], bool]) -> Streamed:
         BadInputError: the extra is not installed.
         WorkFailedError: no controller answers, or it takes no commands.
     """
-    hertz = 1.0 / motion.period
-    with (
-        _connected(host, "rtde_receive", "RTDEReceiveInterface", -1.0, _FIELDS) as state,
-        _connected(host, "rtde_control", "RTDEControlInterface", hertz) as control,
-    ):
+    processes = get_context("spawn")
+    ours, theirs = processes.Pipe()
+    courier = processes.Process(target=_deliver, args=(host, motion.period, motion.joints, theirs), daemon=True)
+    courier.start()
+    theirs.close()
+    try:
+        return _watched(ours, host, stop)
+    finally:
+        # Of whoever waits for an answer this is the end: the arm is stopped.
+        ours.close()
+        courier.join(_ENDING_S)
+        courier.kill()
+        courier.join()
+
+
+def _watched(link: Connection, host: str, stop: Callable[[], bool]) -> Streamed:
+    """Return what became of the program as the process that streams it says, which asks before a sample whether to."""
+    if not link.poll(_CONNECTING_S):
+        raise WorkFailedError(
+            f"a UR's controller must answer at {host} within {_CONNECTING_S:g} s, found none that does"
+        )
+    made = Streamed(0, "", 0.0, 0.0)
+    while link.poll(SILENT_S):
         try:
-            return _send(motion, state, control, stop)
-        finally:
-            control.servoStop(_STOP_RAD_S2)
-            control.stopScript()
+            said, told = link.recv()
+        except EOFError:
+            break
+        if said == _FAILED:
+            raise told
+        made = cast(Streamed, told)
+        if said == _ENDED:
+            return made
+        link.send(stop())
+    return replace(made, stopped=f"the connection lost: nothing came of a sample within {SILENT_S:g} s")
 
 
-def _send(motion: Motion, state: Any, control: Any, stop: Callable[[], bool]) -> Streamed:
+def _deliver(host: str, period: float, joints: np.ndarray, link: Connection) -> None:
+    """Send samples (N, 6) [rad] in their own time, asking before each whether to stop, and say what came of it."""
+    # Keys and signals are the other process's to see.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    # A link that ends says that the other process did.
+    with contextlib.suppress(EOFError, ConnectionError):
+        try:
+            with (
+                _connected(host, "rtde_receive", "RTDEReceiveInterface", -1.0, _FIELDS) as state,
+                _connected(host, "rtde_control", "RTDEControlInterface", 1.0 / period) as control,
+            ):
+                try:
+                    link.send((_ENDED, _send(period, joints, state, control, link)))
+                finally:
+                    control.servoStop(_STOP_RAD_S2)
+                    control.stopScript()
+        except (BadInputError, WorkFailedError) as error:
+            link.send((_FAILED, error))
+
+
+def _send(period: float, samples: np.ndarray, state: Any, control: Any, link: Connection) -> Streamed:
     late = off = 0.0
     begun = time.monotonic()
-    for index, joints in enumerate(motion.joints[1:]):
-        due = begun + index * motion.period
+    for index, joints in enumerate(samples[1:]):
+        due = begun + index * period
         time.sleep(max(due - time.monotonic(), 0.0))
         late = max(late, time.monotonic() - due)
-        off = max(off, float(np.abs(np.array(state.getActualQ()) - motion.joints[index]).max()))
-        why = _why_stop(stop, state, late, off)
-        if not why and not control.servoJ(joints.tolist(), 0.0, 0.0, motion.period, LOOKAHEAD_S, GAIN):
+        off = max(off, float(np.abs(np.array(state.getActualQ()) - samples[index]).max()))
+        link.send((_ASKED, Streamed(index, "", late, off)))
+        why = "a key was pressed" if link.recv() else _why_stop(state, late, off)
+        if not why and not control.servoJ(joints.tolist(), 0.0, 0.0, period, LOOKAHEAD_S, GAIN):
             why = _problem(state) or "the controller took no more samples"
         if why:
             return Streamed(index, why, late, off)
     # The last sample is followed, too, before the arm is stopped.
-    time.sleep(motion.period + LOOKAHEAD_S)
-    return Streamed(len(motion.joints) - 1, "", late, off)
+    time.sleep(period + LOOKAHEAD_S)
+    return Streamed(len(samples) - 1, "", late, off)
 
 
-def _why_stop(stop: Callable[[], bool], state: Any, late: float, off: float) -> str:
-    if stop():
-        return "a key was pressed"
+def _why_stop(state: Any, late: float, off: float) -> str:
     if problem := _problem(state):
         return problem
     if off > OFF_RAD:

@@ -42,6 +42,7 @@ def write_servoj(path: Path, program: Program) -> None:
 def write_movep(path: Path, program: Program) -> None:
     """Write ``movej`` to the first sample and ``movep`` along straight lines with blends of at most half a line.
 
+    The active TCP becomes the flange, whose poses these are, and stays it.
     The speed is the largest that keeps the joint limits everywhere on the path.
 
     Raises:
@@ -52,6 +53,8 @@ def write_movep(path: Path, program: Program) -> None:
     blends = np.append(_blends(corners[:, pose.POSITION]), 0.0)
     places = np.hstack([corners[1:, pose.POSITION], rotation_vectors(corners[1:, pose.QUATERNION])])
     lines = [
+        # Poses are of the flange, and movep leads the active TCP along them.
+        "set_tcp(p[0, 0, 0, 0, 0, 0])",
         f"movej({_list(program.motion.joints[0])}, {_TO_START})",
         *(
             f"movep(p{_list(place)}, a={acceleration:.6f}, v={speed:.6f}, r={np.floor(blend * 1e7) / 1e7:.7f})"

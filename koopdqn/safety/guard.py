@@ -95,13 +95,24 @@ class Guard:
         settings: GuardSettings,
         trust: TrustDomain | None = None,
         frame: StartFrame = STILL,
+        time_scale: float | None = 1.0,
     ) -> None:
-        """Guard a workcell; without a trust domain, or its start frame, no tube is watched."""
+        """Guard a workcell.
+
+        Args:
+            workcell: task, arm and scene.
+            settings: what is allowed.
+            trust: whose tube is watched; None for none.
+            frame: the start frame of that tube.
+            time_scale: how much longer steps take than they can when they are executed; None: they are timed later,
+                and the flange's speed is kept there.
+        """
         self.workcell = workcell
         self.settings = settings
         self.refusals: list[Refusal] = []
         self._trust = trust
         self._frame = frame
+        self._time_scale = time_scale
 
     def moves(
         self, reached: Array, before: Array, joints: Array, starts: Array, moved: Array | None = None
@@ -139,7 +150,9 @@ class Guard:
         # Rounding of a quotient is no excess.
         if seconds > most * (1.0 + 1e-9):
             return f"the joints' speed limits must allow it within {most:g} s, found that it takes {seconds:.3g} s"
-        speed = float(pose.position_distance(reached, before)) / seconds
+        if self._time_scale is None:
+            return ""
+        speed = float(pose.position_distance(reached, before)) / (self._time_scale * seconds)
         if speed > settings.tool_speed_m_s * (1.0 + 1e-9):
             return f"the flange must move at most {settings.tool_speed_m_s:g} m/s, found {speed:.3g} m/s"
         return ""

@@ -86,13 +86,16 @@ def program_of(config: Configuration, run: Path) -> tuple[Program, Scene]:
     if placement is not None:
         console.note(f"moved back to where demonstrations were recorded: they had been {placement}")
     if isinstance(config.task, DemonstratedTask):
-        console.warn("collisions are checked with the arm, its tool and the floor alone: the task knows no furniture")
+        console.warn(
+            "collisions are checked with the arm, the floor below its pedestal and obstacles= alone: the task knows"
+            " neither a gripper nor furniture"
+        )
     if placement is not None and config.task.obstacles:
         raise BadInputError(
             "program.frame: must be placed where obstacles stand in the scene, found recorded: they were not there"
         )
     policy, workcell, reward = trained.policy, trained.workcell, trained.reward
-    guard = Guard(workcell, config.guard, tube_of(policy, reward.trust), reward.model.start_frame)
+    guard = Guard(workcell, config.guard, tube_of(policy, reward.trust), reward.model.start_frame, time_scale=None)
     return make_program(workcell, policy, settings, trained.step_limit, placement, guard), workcell.scene
 
 
