@@ -36,6 +36,16 @@ MATRICES[:, :3, 3] = POSES[:, :3]
 MATRICES[:, 3, 3] = 1.0
 
 
+def joints_along(arm: Arm) -> Array:
+    """Return joint angles (60, 6) [rad] that follow the motion."""
+    found = [np.asarray(arm.solutions(POSES[0])[0])]
+    for each in POSES[1:]:
+        result = arm.inverse(each, found[-1])
+        assert result.success
+        found.append(np.asarray(result.joints))
+    return np.array(found)
+
+
 def written(path: Path, names: str | None, *columns: Array, delimiter: str = ",", form: str = "%.9f") -> Path:
     """Write columns as text below a header of names, which blanks separate; without one if None."""
     values = np.column_stack(columns)

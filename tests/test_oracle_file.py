@@ -115,6 +115,21 @@ def test_a_pause_in_a_file_that_is_kept_does_not_pause_the_run_that_goes_on(tmp_
         oracle.answer(numbered(3))
 
 
+def test_the_answers_of_another_run_are_refused(tmp_path: Path) -> None:
+    answers = "".join(f'{{"number": {n}, "right": true}}\n' for n in range(2))
+    first = opened(tmp_path, answers)
+    assert all(first.answer(numbered(number)).right for number in range(2))
+    # The same question once more, as where a run goes on.
+    assert opened(tmp_path, answers).answer(numbered(1)).right
+    other = Question(**{**vars(numbered(1)), "pose": numbered(1).pose + 1e-3})
+    with pytest.raises(BadInputError, match=r"question 1 of this run, found the answer to another one, .* remove both"):
+        opened(tmp_path, answers).answer(other)
+    # What is written now answers what is asked now.
+    oracle = opened(tmp_path)
+    threading.Timer(0.1, lambda: (tmp_path / "answers").write_text('{"number": 1, "right": false}\n')).start()
+    assert oracle.answer(other).right is False
+
+
 @pytest.mark.parametrize("left", ["", "no json\n", "[1]\n", "{}\n"])
 def test_whatever_the_questions_file_holds_is_no_question(tmp_path: Path, left: str) -> None:
     (tmp_path / "questions").write_text(left)

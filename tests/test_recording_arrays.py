@@ -20,6 +20,7 @@ from recording_files import (
     TIMES,
     XYZW,
     declared,
+    joints_along,
     motion,
     numbered,
     poses_in,
@@ -47,13 +48,7 @@ def arm() -> Arm:
 
 @pytest.fixture(scope="module")
 def joints(arm: Arm) -> Array:
-    """Joint angles (60, 6) [rad] that follow the motion."""
-    found = [np.asarray(arm.solutions(POSES[0])[0])]
-    for each in POSES[1:]:
-        result = arm.inverse(each, found[-1])
-        assert result.success
-        found.append(np.asarray(result.joints))
-    return np.array(found)
+    return joints_along(arm)
 
 
 def _npz(path: Path, **arrays: Any) -> None:

@@ -71,8 +71,8 @@ class FileOracle(Oracle):
             BadInputError: a file cannot be opened.
         """
         self._name = name
-        self._answers_path = answers
-        self._asked = _last_asked(questions)
+        self._questions_path, self._answers_path = questions, answers
+        self._asked = _asked_before(questions)
         self._questions = _opened(questions, os.O_WRONLY | os.O_APPEND)
         self._answers = _opened(answers, os.O_RDONLY)
         self._rest = b""
@@ -83,20 +83,25 @@ class FileOracle(Oracle):
         """Write the question and wait for the line that answers it.
 
         Raises:
-            BadInputError: a line is no answer, or answers a question that was not asked yet.
+            BadInputError: a line is no answer, or answers a question that was not asked yet, or of another run.
             PauseRequested: the other program asks for it.
         """
-        began = time.monotonic()
-        text = json.dumps(question_object(question), sort_keys=True, allow_nan=False) + "\n"
-        os.write(self._questions, text.encode())
+        began, told = time.monotonic(), question_object(question)
+        os.write(self._questions, (json.dumps(told, sort_keys=True, allow_nan=False) + "\n").encode())
+        last = next(reversed(self._asked), None)
         while True:
             found = self._parsed(self._line())
             if found.number > question.number:
                 raise self._wrong(f"number: must be at most {question.number}, found {found.number}")
+            old = self._passed <= self._old
             # It has paused the run at this question already, which is asked anew.
-            spent = found.pause and self._passed <= self._old and question.number == self._asked
-            if found.number == question.number and not spent:
+            if found.number == question.number and not (found.pause and old and question.number == last):
                 break
+        if old and self._asked.get(question.number, _about(told)) != _about(told):
+            raise BadInputError(
+                f"oracle.answers {self._answers_path}: must answer question {question.number} of this run, found the"
+                f" answer to another one, in {self._questions_path}: name other files, or remove both"
+            )
         if found.pause:
             raise PauseRequested("paused by the program that answers")
         right = found.better == question.action if found.right is None and found.better is not None else found.right
@@ -134,14 +139,20 @@ def question_object(question: Question) -> dict[str, Any]:
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
 
 
-def _last_asked(questions: Path) -> int | None:
-    """Return the number of the last question in a file; None if it is a pipe, or holds none."""
-    if not questions.is_file():
-        return None
-    last = questions.read_bytes().rstrip().rpartition(b"\n")[2]
-    with contextlib.suppress(ValueError, KeyError, TypeError):
-        return int(json.loads(last)["number"])
-    return None
+def _asked_before(questions: Path) -> dict[int, tuple[Any, ...]]:
+    """Return what the questions in a file are about, by their numbers, the last one last; none of a pipe."""
+    asked: dict[int, tuple[Any, ...]] = {}
+    for line in questions.read_bytes().splitlines() if questions.is_file() else []:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            told = json.loads(line)
+            number = int(told["number"])
+            asked.pop(number, None)
+            asked[number] = _about(told)
+    return asked
+
+
+def _about(told: dict[str, Any]) -> tuple[Any, ...]:
+    return told["pose"], told["action"]
 
 
 def _opened(path: Path, mode: int) -> int:

@@ -42,15 +42,14 @@ def recordings_of(columns: Columns, declared: ImportSettings, stated: Recording)
         where=columns.where,
         rows=columns.lines,
         joints=taken(layout.joints),
+        joint_angles=layout.joint_angles,
         times=_times(taken(layout.time)),
         clock=layout.clock or stated.clock,
         tool=None if tool is None else _tool(tool),
         unused=tuple(name for place, name in enumerate(columns.names) if place not in used),
         reasons=(*stated.reasons, *layout.reasons),
     )
-    if pose is None:
-        found = replace(found, angles=layout.joint_angles or stated.angles)
-    else:
+    if pose is not None:
         found = replace(
             found,
             position=None if pose.rotation == "transform" else taken(pose.position),

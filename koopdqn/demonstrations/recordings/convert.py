@@ -43,8 +43,8 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
     reasons = list(recording.reasons)
     joints = _joints(recording, declared, reasons)
     asked: list[str] = []
-    if recording.position is None and recording.turn is None:
-        poses = _forward(recording, joints, arm, reasons)
+    if recording.of_joints:
+        poses = _forward(recording, joints, declared, arm, reasons)
         _check_asked(recording, declared, asked)
     else:
         position = quaternion = np.zeros(0)
@@ -58,25 +58,30 @@ def converted(recording: Recording, declared: ImportSettings, arm: Arm | None) -
         except AskError as error:
             asked.append(str(error))
         _check_asked(recording, declared, asked)
-        poses = np.concatenate([position, quaternion], axis=1)
+        poses = _in_base(recording, np.concatenate([position, quaternion], axis=1), declared, reasons)
         poses = _at_flange(recording, poses, joints, declared, arm, reasons)
-    if declared.base is not None:
-        base = pose.make(declared.base[:3], pose.from_rotation_vector(declared.base[3:]))
-        poses = pose.compose(pose.inverse(base), poses)
-        reasons.append("told in the arm's base, as import.base declares")
-    elif not recording.frame and recording.turn is not None:
-        reasons.append("in the arm's base, of the flange, unless import.base and import.tool say otherwise")
-    elif recording.frame:
-        reasons.append(f"frame {recording.frame} is taken as the arm's base; import.base says where that stands in it")
     if len(poses) < 2:
         raise BadInputError(f"demos {recording.where}: must hold at least 2 samples, found {len(poses)}")
     times, kept = _times(recording, poses, declared, reasons)
     own = joints[kept] if joints is not None and arm is not None and joints.shape[1] == len(arm.joint_names) else None
     try:
-        item = Demonstration(times[kept], poses[kept], None if recording.position is not None else own)
+        item = Demonstration(times[kept], poses[kept], own if recording.of_joints else None)
     except BadInputError as error:
         raise BadInputError(f"demos {recording.where}: {error}") from error
     return item, reasons
+
+
+def _in_base(recording: Recording, poses: Array, declared: ImportSettings, reasons: list[str]) -> Array:
+    """Return poses (N, 7) of the recording's frame in the arm's base."""
+    if declared.base is not None:
+        reasons.append("told in the arm's base, as import.base declares")
+        base = pose.make(declared.base[:3], pose.from_rotation_vector(declared.base[3:]))
+        return pose.compose(pose.inverse(base), poses)
+    if recording.frame:
+        reasons.append(f"frame {recording.frame} is taken as the arm's base; import.base says where that stands in it")
+    elif recording.turn is not None:
+        reasons.append("in the arm's base, of the flange, unless import.base and import.tool say otherwise")
+    return poses
 
 
 def of_one_unit(recordings: Sequence[Recording]) -> list[Recording]:
@@ -229,16 +234,22 @@ def _from_matrix(recording: Recording, matrices: Array) -> Array:
 def _joints(recording: Recording, declared: ImportSettings, reasons: list[str]) -> Array | None:
     if recording.joints is None:
         return None
-    largest = float(np.abs(recording.joints).max(initial=0.0))
-    angles = (declared.angles if recording.position is None else None) or recording.angles
-    if recording.position is None and recording.turn is None:
+    largest, angles = float(np.abs(recording.joints).max(initial=0.0)), recording.joint_angles
+    if recording.of_joints:
+        angles = declared.angles or angles
         if angles is None and largest > _LARGEST_RAD:
             raise _ask(recording, "angles", f"deg or rad, as the largest joint angle is {largest:g}")
         reasons.append(f"joint angles in {angles or 'rad'}")
+    elif angles is None:
+        # Beside a quaternion or a matrix a declared unit can be of the joints alone.
+        free = recording.rotation in ("quaternion", "matrix", "transform")
+        angles = (declared.angles if free else None) or ("deg" if largest > _LARGEST_RAD else "rad")
     return np.radians(recording.joints) if angles == "deg" else recording.joints
 
 
-def _forward(recording: Recording, joints: Array | None, arm: Arm | None, reasons: list[str]) -> Array:
+def _forward(
+    recording: Recording, joints: Array | None, declared: ImportSettings, arm: Arm | None, reasons: list[str]
+) -> Array:
     assert joints is not None
     if arm is None:
         raise BadInputError(f"demos {recording.where}: joints need an arm to make poses of them, found none given")
@@ -248,6 +259,9 @@ def _forward(recording: Recording, joints: Array | None, arm: Arm | None, reason
             f" {joints.shape[1]}"
         )
     reasons.append(f"flange from the joints by the kinematics of {arm.name}")
+    without = [f"import.{key}" for key in ("base", "tool") if getattr(declared, key) is not None]
+    if without:
+        reasons.append(f"{' and '.join(without)} without effect: joints give the flange in the arm's base")
     return arm.forward(joints)
 
 

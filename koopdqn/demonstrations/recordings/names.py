@@ -124,6 +124,9 @@ _QUATERNION_WORDS: Final = _words("orientation orient ori quat quaternion rotati
 _VECTOR_WORDS: Final = _words("rotvec rotvector axisangle aa")
 _ANGLE_WORDS: Final = _words("rpy euler theta")
 _TURN_WORDS: Final = _QUATERNION_WORDS | _VECTOR_WORDS | _ANGLE_WORDS | _words("vec vector axis angle angles")
+_MATRIX_WORDS: Final = _TURN_WORDS | _words("r")
+# Rows and columns of a rotation matrix, counted from 1 or 0: r11 r12 … r33.
+_ENTRIES: Final = tuple([10 * row + column for row in rows for column in rows] for rows in (range(1, 4), range(3)))
 _POSE_WORDS: Final = _words("pose tcp eef ee tool flange cartesian transform tf matrix")
 
 
@@ -160,8 +163,10 @@ def numbered(known: Sequence[Name]) -> list[tuple[tuple[str, ...], dict[int, int
     found = []
     for words, members in groups.items():
         first = min(members)
-        if first in (0, 1) and sorted(members) == list(range(first, first + len(members))):
-            found.append((words, {number - first: members[number] for number in sorted(members)}))
+        if (first in (0, 1) and sorted(members) == list(range(first, first + len(members)))) or (
+            sorted(members) in _ENTRIES
+        ):
+            found.append((words, {index: members[number] for index, number in enumerate(sorted(members))}))
     return found
 
 
@@ -276,6 +281,6 @@ def _counted(
         owner = _owner(words, _TURN_WORDS)
         angles = angle_unit([known[i] for i in places])
         turns[owner] = PoseColumns(name, (), places, _three(words), angles=angles, other=turns.get(owner))
-    elif count == 9 and found & _TURN_WORDS:
-        owner = _owner(words, _TURN_WORDS)
+    elif count == 9 and found & _MATRIX_WORDS:
+        owner = _owner(words, _MATRIX_WORDS)
         turns[owner] = PoseColumns(name, (), places, "matrix", other=turns.get(owner))

@@ -27,6 +27,8 @@ ROLES: Final = (
 )
 """What a column may be."""
 IGNORED: Final = "_"
+# A shorter one tells no orientation.
+_SHORTEST_QUATERNION: Final = 1e-6
 
 
 def _columns(value: object) -> object:
@@ -76,6 +78,8 @@ class ImportSettings(Settings):
                 f"rate_hz and speed_m_s must not both be given, found {self.rate_hz:g} and {self.speed_m_s:g}: each is"
                 " the clock in place of a time column"
             )
+        if self.orientation is not None and np.linalg.norm(self.orientation) < _SHORTEST_QUATERNION:
+            raise ValueError(f"orientation must be a quaternion, of length 1, found {list(self.orientation)}")
         return self
 
     def given(self) -> dict[str, Any]:
@@ -100,10 +104,11 @@ class Recording:
         where: file, and the part of it, for messages.
         position: (N, 3) in ``units``, or None where there are joints alone.
         turn: (N, k) what ``rotation`` says, or None.
-        joints: joint angles (N, J) in ``angles``, or None.
+        joints: joint angles (N, J) in ``joint_angles``, or None.
         times: (N,) in ticks of ``clock``, or None.
         rotation: what ``turn`` holds; None where the file does not say.
-        order: of quaternions; None where the file does not say. So are ``units``, ``angles`` and ``clock``.
+        order: of quaternions; None where the file does not say. So are ``units``, ``angles``, ``joint_angles`` and
+            ``clock``.
         rate_hz: rows a second where the file says that instead of times.
         tool: pose (7,) of the recorded point in the flange, where the file says it, or (N, 7) where that changes.
         rows: (N,) what to call each row in messages; counted from 0 if None.
@@ -122,6 +127,7 @@ class Recording:
     order: QuaternionOrder | None = None
     units: Units | None = None
     angles: Angles | None = None
+    joint_angles: Angles | None = None
     clock: Clock | None = None
     rate_hz: float | None = None
     tool: Array | None = None
@@ -134,6 +140,11 @@ class Recording:
     def row(self, index: int) -> str:
         """Return what to call a row."""
         return f"row {index}" if self.rows is None else f"line {self.rows[index]}"
+
+    @property
+    def of_joints(self) -> bool:
+        """Whether there are joints alone, and no pose."""
+        return self.position is None and self.turn is None
 
     @property
     def origin(self) -> Array:
@@ -216,4 +227,4 @@ class ArrayColumns:
 
     def texts(self, column: int) -> list[str]:
         """Return the texts of a column."""
-        return [f"{value:g}" for value in self.values[:, column].tolist()]
+        return [f"{value:.17g}" for value in self.values[:, column].tolist()]

@@ -171,4 +171,4 @@ def _joints(path: Path, reader: Any, connections: list[Any], declared: ImportSet
     rows = np.array(series[topic])
     times, order, clock = _clock(rows[:, 0], rows[:, 1])
     why = (f"joint states of {topic}, joints by their names", f"time in ns as {clock}")
-    return Recording(str(path), joints=rows[order, 2:], times=times[order], angles="rad", clock="ns", reasons=why)
+    return Recording(str(path), joints=rows[order, 2:], times=times[order], joint_angles="rad", clock="ns", reasons=why)

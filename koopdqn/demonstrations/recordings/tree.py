@@ -101,7 +101,8 @@ def _series(tree: Tree) -> list[str]:
         if found and (isinstance(value, Mapping) or (value.ndim in (2, 3) and min(value.shape[:2]) > 4)):
             numbered.setdefault(found[1], []).append((int(found[2]), name))
     longest: list[tuple[int, str]] = max(numbered.values(), key=len, default=[])
-    return [name for _, name in sorted(longest)] if longest else []
+    # A single one with something beside it has its number for another reason.
+    return [name for _, name in sorted(longest)] if len(longest) > 1 or len(tree) == 1 else []
 
 
 def _flat(tree: Tree, prefix: str = "") -> Iterator[tuple[str, Array]]:
