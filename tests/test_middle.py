@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from parts import load_parts
 
+from koopdqn import pose
+from koopdqn.app.api import load_config
 from koopdqn.intent.whole_pose import WholePoseSettings
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
@@ -14,7 +15,7 @@ STEPS, FIRST = 400, 25
 @pytest.fixture(scope="module")
 def shelf() -> tuple[Task, WholePoseSettings]:
     """The shelf, and an intent from the middle of its start region."""
-    parts = load_parts("intent=gentle")
+    parts = load_config("intent=gentle")
     assert isinstance(parts.intent, WholePoseSettings)
     return parts.task, parts.intent
 
@@ -70,3 +71,18 @@ def test_the_mean_stays_where_the_start_region_was_made_from_the_demonstrations(
     assert not same(task, settings, shown)
     monkeypatch.setattr(type(task), "demonstrated_middle", None)
     assert same(task, settings, shown)
+
+
+def test_a_turn_stays_where_it_was_shown() -> None:
+    """Demonstrations that begin behind the middle show the turn at the same places."""
+    parts = load_config("task=knife", "intent=gentle")
+    task, settings = parts.task, parts.intent
+    assert isinstance(settings, WholePoseSettings)
+    path = task.demonstrator.roll_out(task.nominal_start, STEPS)
+    ahead = path[10, :3] - path[0, :3]
+    behind = -0.03 * ahead / np.linalg.norm(ahead)
+    shown = beside(task, behind + np.array([[0.004, 0.0, 0.0], [0.0, 0.004, 0.0], [0.0, 0.0, 0.004]]), 0.02)
+    turning = path[20:60]
+    expected = task.demonstrator.next_pose(turning)
+    found = settings.fit(shown, task).predict_step(turning, task.step_m)
+    assert np.degrees(pose.rotation_distance(found, expected)).max() < 0.3

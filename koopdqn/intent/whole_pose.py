@@ -213,9 +213,11 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     demonstrations' own offsets from the mean do, taken at right angles to it (least squares): those along it also tell
     how far the shares of two ways are apart. From all of the region behind its beginning the path is led to as it
     begins, so that what is left there to chance must not turn it: up to 2ℓ, of a tenth of the way at most, it is the
-    cubic that leaves the middle straight and runs into what follows. Where all begin alike, the mean stays as it is.
+    cubic that leaves the middle straight and runs into what follows. Orientations stay where they were shown. Where all
+    begin alike, the mean stays as it is.
     """
     from scipy.optimize import minimize_scalar
+    from scipy.spatial import cKDTree
 
     places, arc = mean[:, pose.POSITION], way_lengths(mean)
     directions = np.gradient(places, axis=0)
@@ -236,7 +238,7 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     onward *= pose.norm(way) / max(float(pose.norm(onward)), 1e-12)
     share = (arc[:joined] / arc[joined])[:, None]
     moved[:joined] = middle + share * (1.5 * way - 0.5 * onward) + share**3 * (0.5 * onward - 0.5 * way)
-    return pose.make(moved, mean[:, pose.QUATERNION])
+    return pose.make(moved, mean[cKDTree(places).query(moved)[1], pose.QUATERNION])
 
 
 def _across(vectors: Array, directions: Array) -> Array:
