@@ -52,8 +52,10 @@ def test_demonstrations_from_beside_the_middle_teach_the_path_from_the_middle(
 
 def same(task: Task, settings: WholePoseSettings, shown: list[Array]) -> bool:
     """Return whether the model is the same to the bit with and without ``from_middle``."""
-    models = [settings.model_copy(update={"from_middle": each}).fit(shown, task) for each in (True, False)]
-    return np.array_equal(*(each.arrays()["matrix"] for each in models))
+    one, other = (
+        settings.model_copy(update={"from_middle": each}).fit(shown, task).arrays()["matrix"] for each in (True, False)
+    )
+    return np.array_equal(one, other)
 
 
 def test_the_mean_stays_where_nothing_tells_how_offsets_fade(shelf: tuple[Task, WholePoseSettings]) -> None:
