@@ -14,6 +14,7 @@ from koopdqn.artifact import described
 from koopdqn.demonstrations.derivation import Derived
 from koopdqn.demonstrations.generate import generate
 from koopdqn.errors import BadInputError
+from koopdqn.intent.fit import fit
 from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.settings import load_settings
@@ -306,3 +307,10 @@ def test_held_out_demonstrations_keep_their_own_end() -> None:
     derived = RECIPE.derive(shown(recorded(arc()), recorded(arc()), recorded(moved)))
     assert pose.position_distance(derived.held_out[0].poses[-1], derived.task.goal) == pytest.approx(0.01, abs=1e-4)
     assert replace(derived, notes=()).task is derived.task
+
+
+def test_what_does_not_turn_can_be_learned_with_its_turn() -> None:
+    derived = derivation(turning="geodesic").derive(shown(*(recorded(arc(offset)) for offset in (0.0, 0.01, 0.02))))
+    parts = load_parts("intent.count=100")
+    report = fit(derived.training, derived.task, parts.intent, parts.trust, parts.reward).report
+    assert report["sixty_samples"]["rms_over_persistence_rotation"] is None

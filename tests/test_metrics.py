@@ -274,6 +274,21 @@ def test_what_a_users_task_measures_is_reported() -> None:
     assert measured([episode(lines[0])], lines[:1]).task_measures == {}
 
 
+class _Spilling(ShelfTask):
+    def measures(self, path: Array, step_seconds: float) -> dict[str, float]:
+        low = bool(path[:, 2].min() < 0.0)
+        return {"spilled": low, "least_m": 0.1 if low else np.inf, "never": np.nan}
+
+
+def test_a_users_task_may_measure_truths_and_what_a_path_has_none_of() -> None:
+    task = _Spilling.model_construct(**dict(shelf().task))
+    lines = [line((0, 0, height), (0.1, 0, height), 11) for height in (-0.1, 0.3)]
+    found = measured([episode(each) for each in lines], lines, task).model_dump()["task_measures"]
+    assert found["spilled"] == {"mean": 0.5, "min": 0.0, "max": 1.0}
+    assert found["least_m"] == {"mean": 0.1, "min": 0.1, "max": 0.1}
+    assert found["never"] == dict.fromkeys(("mean", "min", "max"))
+
+
 def test_the_tube_fraction_is_the_share_of_reached_states_inside() -> None:
     trajectory = taught().trajectories[0]
     away = trajectory[-2:] + np.array([0.0, 0.0, 0.5, 0, 0, 0, 0])

@@ -6,6 +6,7 @@ import pytest
 from koopdqn import pose
 from koopdqn.app.api import load_config
 from koopdqn.intent.whole_pose import WholePoseSettings
+from koopdqn.paths import between
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
@@ -88,3 +89,22 @@ def test_a_turn_stays_where_it_was_shown() -> None:
     expected = task.demonstrator.next_pose(turning)
     found = settings.fit(shown, task).predict_step(turning, task.step_m)
     assert np.degrees(pose.rotation_distance(found, expected)).max() < 0.3
+
+
+@pytest.mark.parametrize("at_goal", [True, False])
+def test_a_turn_on_the_spot_is_kept(at_goal: bool) -> None:
+    config = load_config("task=knife", "intent=gentle")
+    task, settings = config.task, config.intent
+    assert isinstance(settings, WholePoseSettings)
+    path = task.demonstrator.roll_out(task.nominal_start, STEPS)
+    ends = np.linspace(0.0, 1.0, 60)[1:-1]
+    shown = []
+    for rows in beside(task, np.array([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.02]]), 0.02):
+        begun, ended = rows.copy(), rows.copy()
+        begun[:, 3:], ended[:, 3:] = path[0, 3:], path[-1, 3:]
+        spot = np.repeat(rows[-1:] if at_goal else rows[:1], len(ends), axis=0)
+        turned = between(np.repeat(begun[:1], len(ends), axis=0), np.repeat(ended[-1:], len(ends), axis=0), ends)
+        spot[:, 3:] = turned[:, 3:]
+        shown.append(np.concatenate([begun, spot, ended[-1:]] if at_goal else [begun[:1], spot, ended]))
+    rolled = settings.fit(shown, task).roll_out(task.nominal_start[None], 2 * STEPS, task.step_m)[-1]
+    assert np.degrees(pose.rotation_distance(rolled, task.goal))[0] < 1.0

@@ -4,6 +4,7 @@ import hashlib
 import os
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from koopdqn.pose import Array
 from koopdqn.resources import asset_path
 from koopdqn.robot.arm import Arm
 from koopdqn.robot.mjcf import MjcfArm, recorded_arm
+from koopdqn.robot.scene import SceneBuilder
 from koopdqn.settings import load_settings
 from koopdqn.tasks.workcell import Reachability, Workcell, build_scene
 
@@ -302,3 +304,50 @@ def test_arms_of_menagerie(name: str) -> None:
         config.task.expert().roll_out(config.task.nominal_start, 500)
     )
     assert joints is not None, reason
+
+
+def in_degrees(text: str) -> str:
+    """Return an MJCF text with the ranges of its joints in degrees."""
+    return re.sub(
+        r'(?<![a-z])range="([^"]*)"',
+        lambda found: f'range="{" ".join(f"{np.degrees(float(each)):.12g}" for each in found[1].split())}"',
+        text,
+    )
+
+
+VIEW = '<option integrator="Euler"/><statistic extent="1"/><visual><headlight diffuse="1 1 1"/></visual>'
+WRITTEN: dict[str, Callable[[str], str]] = {
+    "degrees by habit": lambda text: in_degrees(text).replace(' angle="radian"', ""),
+    "degrees by name": lambda text: in_degrees(text).replace('angle="radian"', 'angle="degree"'),
+    "a view and an integrator of its own": lambda text: text.replace('<option integrator="implicitfast"/>', VIEW),
+    "limits told": lambda text: (
+        text.replace('autolimits="true"', 'autolimits="false"')
+        .replace('<joint axis="0 0 1"', '<joint axis="0 0 1" limited="true"')
+        .replace("forcerange=", 'forcelimited="true" forcerange=')
+    ),
+}
+
+
+@pytest.mark.parametrize("way", WRITTEN)
+def test_an_arm_stands_in_its_scene_as_in_its_file_however_that_is_written(tmp_path: Path, way: str) -> None:
+    turned = '<body name="link_5" quat="0.5 0.5 -0.5 0.5"'
+    text = SEVEN.read_text(encoding="utf-8").replace('<body name="link_5"', turned)
+    text = text.replace("<worldbody>", '<asset><mesh name="cap" file="cap.obj"/></asset><worldbody>', 1)
+    text = text.replace(turned, f'<geom type="mesh" mesh="cap" mass="0.1"/>{turned}', 1)
+    text = text.replace("<compiler ", '<compiler meshdir="meshes" ')
+    (tmp_path / "meshes").mkdir()
+    corners = [(0, 0, 0), (0.05, 0, 0), (0, 0.05, 0), (0, 0, 0.05)]
+    faces = [(1, 3, 2), (1, 2, 4), (2, 3, 4), (3, 1, 4)]
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners), *(f"f {a} {b} {c}" for a, b, c in faces)]
+    (tmp_path / "meshes" / "cap.obj").write_text("\n".join(lines), encoding="utf-8")
+    models = []
+    for name, each in (("as_it_is", text), ("written", WRITTEN[way](text))):
+        (tmp_path / f"{name}.xml").write_text(each, encoding="utf-8")
+        arm = arm_of(tmp_path / f"{name}.xml")
+        models.append(SceneBuilder(arm).build().model)
+    one, other = models
+    for key in ("jnt_range", "jnt_limited", "body_pos", "body_quat", "geom_pos", "geom_quat", "geom_size"):
+        np.testing.assert_allclose(getattr(one, key), getattr(other, key), atol=1e-7, err_msg=key)
+    for key in ("actuator_forcerange", "actuator_forcelimited", "body_mass", "mesh_vert"):
+        np.testing.assert_allclose(getattr(one, key), getattr(other, key), atol=1e-7, err_msg=key)
+    assert one.opt.integrator == other.opt.integrator

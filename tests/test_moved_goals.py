@@ -2,7 +2,7 @@
 
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
 from koopdqn.tasks.moved_goals import FlangeAlone
 from koopdqn.tasks.rollout import SUCCESS, Episode
+from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
 PARTS = load_parts("intent.count=200")
@@ -163,3 +164,19 @@ def test_a_goal_range_must_be_one(half: tuple[float, float, float]) -> None:
 def test_the_goal_moves_positions_alone() -> None:
     drawn = drawn_starts(_cell(), SETTINGS)
     assert np.allclose(pose.rotation_distance(drawn.starts, _derived().task.nominal_start), 0.0, atol=1e-6)
+
+
+class _Movable(ShelfTask):
+    goal_moves: ClassVar[bool] = True
+
+
+def test_a_task_of_ones_own_draws_starts_as_they_lie_from_its_moved_goals() -> None:
+    task = _Movable.model_construct(**{**dict(PARTS.task), "goal_half_range_m": (0.1, 0.0, 0.1)})
+    seen, shown_from = (
+        draw(np.random.default_rng(0), 2000)[:, :3] - task.nominal_start[:3]
+        for draw in (task.draw_starts, task.draw_demonstrated_starts)
+    )
+    half = np.array(task.start_half_range_m)
+    np.testing.assert_allclose(np.abs(shown_from).max(axis=0), half, rtol=0.02)
+    assert (np.abs(seen).max(axis=0)[[0, 2]] > half[[0, 2]] + 0.08).all()
+    assert np.abs(seen[:, 1]).max() <= half[1]

@@ -235,7 +235,11 @@ def turn_report(paths: list[Array], task: Task) -> TurnReport:
 
 def _task_measures(paths: list[Array], task: Task, step_seconds: float) -> dict[str, Range]:
     each = [task.measures(path, step_seconds) for path in paths]
-    return {name: _range([values[name] for values in each]) for name in (each[0] if each else ())}
+    # What a path has none of, such as a least distance where nothing came near, is not finite.
+    return {
+        name: _range([float(values[name]) for values in each if np.isfinite(values[name])])
+        for name in (each[0] if each else ())
+    }
 
 
 def _range(values: list[float]) -> Range:

@@ -159,7 +159,7 @@ def sixty_samples(
         "paper_max_m": _PAPER_LARGEST_ERROR_M if task.name == "shelf" else None,
         "rms_rad": float(rms[1]) if turns else None,
         "persistence_rms_rad": float(persistence[1]) if turns else None,
-        "rms_over_persistence_rotation": float(rms[1] / persistence[1]) if turns else None,
+        "rms_over_persistence_rotation": float(rms[1] / persistence[1]) if turns and persistence[1] > 0.0 else None,
         "max_rad": float(error[:, 1].max()) if turns else None,
     }
     return summary, errors

@@ -30,6 +30,8 @@ _PLACE, _TURN = slice(0, 3), slice(3, 12)
 _LEAST_SPREAD_M = 1e-6
 # Over which share of the way their offsets fade, at least and at most; slower ones are the start frame's.
 _FADING = 0.005, 0.125
+# Samples of the mean nearer together than this [m] are of one turn on the spot.
+_ON_THE_SPOT_M = 1e-3
 # So much of the way is straightened at most: more would lose its shape.
 _STRAIGHTENED = 0.1
 # What names of the start frame's arrays begin with.
@@ -238,7 +240,10 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     onward *= pose.norm(way) / max(float(pose.norm(onward)), 1e-12)
     share = (arc[:joined] / arc[joined])[:, None]
     moved[:joined] = middle + share * (1.5 * way - 0.5 * onward) + share**3 * (0.5 * onward - 0.5 * way)
-    return pose.make(moved, mean[cKDTree(places).query(moved)[1], pose.QUATERNION])
+    nearest = cKDTree(places).query(moved)[1]
+    # Of turns on the spot all lie there.
+    elsewhere = pose.norm(places[nearest] - places) > _ON_THE_SPOT_M
+    return pose.make(moved, mean[np.where(elsewhere, nearest, np.arange(len(mean))), pose.QUATERNION])
 
 
 def _across(vectors: Array, directions: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
@@ -30,11 +31,13 @@ class SceneBuilder:
         """Start a scene with the arena and the arm, loaded from the arm's MJCF file."""
         self.arm = arm
         self._arena = mjcf.from_path(str(asset_path(_ARENA)))
-        self._robot = mjcf.from_path(str(arm.mjcf))
+        self._robot = _read(arm.mjcf)
         # A keyframe's numbers would be given to the wrong joints if another joint came before the arm's.
         for key in self._robot.find_all("key"):
             key.remove()
         _spare_mounting(self._robot)
+        for part in ("option", "statistic", "visual"):
+            _yield(getattr(self._robot, part), getattr(self._arena, part))
         for name, position in (arm.link_positions if isinstance(arm, Calibrated) else {}).items():
             self._named("body", name).pos = position
         self._arena.attach(self._robot)
@@ -147,6 +150,24 @@ class SceneBuilder:
             known = [element.name for element in self._robot.find_all(kind)]
             raise unknown_name(f"{kind} of {self.arm.asset}", name, known)
         return found
+
+
+def _read(path: Path) -> Any:
+    """Return an arm's MJCF file in radians, as the arena is: dm_control puts both together and converts nothing."""
+    spec = mujoco.MjSpec.from_file(str(path))
+    if not spec.compiler.degree:
+        return mjcf.from_path(str(path))
+    # What was compiled is written in radians.
+    spec.compile()
+    return mjcf.from_xml_string(spec.to_xml(), model_dir=str(path.parent))
+
+
+def _yield(own: Any, arena: Any) -> None:
+    """Take out of an element of the arm's file what the arena's sets too: its view, lights and integrator count."""
+    for name in arena.get_attributes().keys() & own.get_attributes().keys():
+        delattr(own, name)
+    for part in arena.all_children():
+        _yield(getattr(own, part.tag), part)
 
 
 def _spare_mounting(robot: Any) -> None:

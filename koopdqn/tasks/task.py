@@ -297,9 +297,15 @@ class Task(TaskChoice):
         return moved
 
     def draw_starts(self, rng: np.random.Generator, count: int) -> Array:
-        """Return ``count`` poses (count, 7) drawn uniformly from the start region, tilts about the turn's axis."""
+        """Return ``count`` poses (count, 7) drawn uniformly from the start region, tilts about the turn's axis.
+
+        Where the goal moves, they are told as seen from it.
+        """
         half = np.array(self.start_half_range_m)
         positions = self.nominal_start[pose.POSITION] + rng.uniform(-half, half, (count, 3))
+        if self.goal_half_range_m is not None:
+            moved = np.array(self.goal_half_range_m)
+            positions -= rng.uniform(-moved, moved, (count, 3))
         poses = pose.make(positions, self.start_quaternion)
         if self.start_tilt_rad > 0:
             start = self.nominal_start[pose.QUATERNION]
@@ -311,7 +317,7 @@ class Task(TaskChoice):
 
     def draw_demonstrated_starts(self, rng: np.random.Generator, count: int) -> Array:
         """Return ``count`` poses (count, 7) drawn from where demonstrations begin; tasks may begin elsewhere too."""
-        return self.draw_starts(rng, count)
+        return self.with_still_goal().draw_starts(rng, count)
 
     def reached(self, poses: Array) -> np.ndarray:
         """Return whether each pose (N, 7) counts as the goal, as booleans (N,)."""
