@@ -213,7 +213,9 @@ def test_an_existing_result_is_refused_before_anything_is_written(lab: Lab, caps
     for again in (["out=mine", "seed=1"], ["-m", "out=mine", "seed=1,2"]):
         text = refused(capsys, "train", *again)
         assert text == "out: must name a new or an empty folder, found 'mine', which holds train.json"
-    assert "which holds train.json" in refused(capsys, "train", "hydra.run.dir=mine", "hydra.output_subdir=null")
+    for key, option in (("hydra.run.dir", []), ("hydra.sweep.dir", ["-m", "seed=1,2"])):
+        text = refused(capsys, "train", *option, f"{key}=mine", "hydra.output_subdir=null")
+        assert text == f"{key}: must be left out, since out= names the run folder, found mine"
     assert record.read_bytes() == before
     assert len(lab.calls) == 1
 
@@ -328,6 +330,13 @@ def test_hydras_other_questions_are_answered(lab: Lab, capsys: pytest.CaptureFix
     assert cli.main(["train", "--info", "defaults-tree", "task=knife"]) == 0
     assert "task: knife" in capsys.readouterr().out
     assert lab.calls == []
+
+
+def test_a_reader_that_goes_away_is_told_nothing() -> None:
+    command = f"{sys.executable} -m koopdqn train --info | head -1"
+    made = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert made.stdout.startswith("Hydra")
+    assert made.stderr == ""
 
 
 def test_the_users_own_config_folder_adds_options(lab: Lab) -> None:

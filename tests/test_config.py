@@ -289,6 +289,24 @@ class TestOverrides:
             assert {each.value() for each in found if each.key_or_group in keys} == {str(folder)}
             assert not any(each.is_sweep_override() for each in found)
 
+    def test_another_arm_comes_without_the_numbers_of_the_recorded_one(self, tmp_path: Path) -> None:
+        record(tmp_path, ["robot=mjcf", "robot.path=/elsewhere/arm.xml", "robot.site=flange", "command=train"])
+        found = prepare("eval", [f"run={tmp_path}", "robot=ur5e"]).overrides
+        assert [each for each in found if each.startswith("robot")] == ["robot=ur5e"]
+        with pytest.raises(BadInputError, match=r"give robot\.path= again"):
+            prepare("eval", [f"run={tmp_path}", "robot=mjcf"])
+
+    def test_what_a_record_may_not_name_is_asked_for_by_a_key_that_can_be_given(self, tmp_path: Path) -> None:
+        obstacle = "{name:m,shape:mesh,center_m:[-0.6,-0.6,0.1],file:/elsewhere/m.stl}"
+        record(tmp_path, [f"task.obstacles=[{obstacle}]", "command=train"])
+        with pytest.raises(BadInputError, match=r"task\.obstacles\.file must lie .*; give task\.obstacles= again"):
+            prepare("eval", [f"run={tmp_path}"])
+
+    def test_folders_that_are_compared_may_begin_at_home(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("HOME", str(tmp_path))
+        record(tmp_path, ["command=train"])
+        assert f"compare.runs=['{tmp_path}','{tmp_path}']" in prepare("compare", ["run=~", "run=~/"]).overrides
+
     def test_another_oracle_goes_on_without_the_settings_of_the_first(self, tmp_path: Path) -> None:
         record(tmp_path, ["oracle=terminal", "oracle.teacher=anna", "seed=4", "command=train"])
         found = prepare("train", [f"run={tmp_path}", "oracle=scripted"]).overrides

@@ -12,8 +12,10 @@ import mujoco
 import numpy as np
 import pytest
 from parts import load_parts
+from small_run import SMALL
 
 from koopdqn import pose
+from koopdqn.app import cli
 from koopdqn.app.api import load_config, open_workcell
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.artifact import described
@@ -351,3 +353,20 @@ def test_an_arm_stands_in_its_scene_as_in_its_file_however_that_is_written(tmp_p
     for key in ("actuator_forcerange", "actuator_forcelimited", "body_mass", "mesh_vert"):
         np.testing.assert_allclose(getattr(one, key), getattr(other, key), atol=1e-7, err_msg=key)
     assert one.opt.integrator == other.opt.integrator
+
+
+def test_a_run_with_an_arm_of_a_file_is_read_and_compared_where_that_lies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arm, run = [f"robot.path={SEVEN}", "robot.site=flange"], f"run={tmp_path}/run"
+    few = ("eval.episodes=2", "eval.dynamics=false", "eval.baselines=false")
+    given = ["robot=mjcf", *arm, *SMALL, "train.max_steps=1500"]
+    assert cli.main(["train", *given, f"out={tmp_path}/run"]) == 1
+    assert cli.main(["compare", run, run, arm[0], "view.starts=1", "eval.episodes=2", f"out={tmp_path}/both"]) == 0
+    assert cli.main(["eval", run, arm[0], "reward.size=2", *few, f"out={tmp_path}/eval"]) == 0
+    assert cli.main(["eval", run, "robot=ur5e", "reward.size=2", *few, f"out={tmp_path}/other"]) == 0
+    assert "robot" not in capsys.readouterr().err.split("reward")[0]
+    # A stopped one says what goes on with it, with the arm's file.
+    (tmp_path / "run" / "policy.safetensors").unlink()
+    assert cli.main(["eval", run, arm[0], f"out={tmp_path}/none"]) == 2
+    assert f"robot.path={SEVEN} goes on" in capsys.readouterr().err

@@ -201,3 +201,29 @@ def test_a_policy_holds_the_settings_that_its_intent_was_fitted_with(
     held_now = (tmp_path / "run" / RECORD.with_name("config.yaml")).read_text(encoding="utf-8")
     assert f"intent_file: {begun}/intent.npz" in held_now
     assert "max_steps: 1600" in held_now
+
+
+def test_the_command_that_goes_on_names_the_config_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cn").mkdir()
+    (tmp_path / "cn" / "mine.yaml").write_text("defaults: [config, _self_]\n", encoding="utf-8")
+    monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    own = [f"--config-dir={tmp_path}/cn", "--config-name=mine"]
+    assert cli.main(["train", *own, *SMALL, f"out={tmp_path}/run"]) == 130
+    told = capsys.readouterr().err.split("; koopdqn ")[1].partition(" goes on")[0]
+    assert shlex.split(told)[1:3] == own
+    assert cli.main(shlex.split(told)) == 130
+
+
+def test_a_run_made_with_a_search_path_is_read_and_compared_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine" / "task").mkdir(parents=True)
+    text = "defaults: [shelf, _self_]\nname: mine\n"
+    (tmp_path / "mine" / "task" / "mine.yaml").write_text(text, encoding="utf-8")
+    run, path = f"run={tmp_path}/run", f"hydra.searchpath=[file://{tmp_path}/mine]"
+    few = ("eval.episodes=2", "eval.dynamics=false", "eval.baselines=false")
+    assert cli.main(["train", path, "task=mine", *SMALL, "train.max_steps=1500", f"out={tmp_path}/run"]) == 1
+    assert cli.main(["eval", path, run, "reward.size=2", *few, f"out={tmp_path}/eval"]) == 0
+    assert cli.main(["compare", path, run, run, "view.starts=1", "eval.episodes=2", f"out={tmp_path}/both"]) == 0

@@ -1,7 +1,7 @@
 import csv
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
 
 import pytest
@@ -10,7 +10,10 @@ from report_runs import train_report, write_evaluation, write_swept
 from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.app.commands import report
+from koopdqn.errors import WorkFailedError
+from koopdqn.evaluation.results import Variant
 from koopdqn.files import read_json, write_json
+from koopdqn.report import sweep
 from koopdqn.report.schema import SweepFile
 
 if TYPE_CHECKING:
@@ -107,3 +110,28 @@ def test_what_is_no_sweep_is_bad_input(
     (work / "empty").mkdir()
     assert cli.main(["report", *overrides, "out=made"]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_an_evaluation_that_fails_leaves_the_others(
+    work: Path, parts: "Parts", monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(report, "_new_folder", lambda *_: work / "runs" / f"eval-{len(made)}")
+    made: list[str] = []
+
+    def evaluated(command: str, overrides: list[str], result: Path) -> None:
+        run = next(each for each in overrides if each.startswith("run="))
+        made.append(run)
+        if run.endswith("/0"):
+            raise WorkFailedError(f"koopdqn eval {run} ended with exit status 2")
+        write_evaluation(result.parent, parts, run.removeprefix("run="))
+
+    monkeypatch.setattr(report, "_koopdqn", evaluated)
+    assert cli.main(["report", "sweep=swept", "report.make=true", "out=made"]) == 1
+    assert len(made) == 3
+    assert "ended with exit status 2" in capsys.readouterr().err
+
+
+def test_a_long_value_is_cut_in_the_plot_alone() -> None:
+    given: dict[str, Any] = {"overrides": {"task.obstacles": "[" + 100 * "0," + "]"}, "runs": 2, "finished": 2}
+    variant = Variant.model_construct(**given)
+    assert len(sweep._label(variant)) == 40

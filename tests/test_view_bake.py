@@ -10,13 +10,14 @@ from helpers_view import motions, shown
 from parts import load_parts
 
 from koopdqn import pose
+from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.intent.reward import SOURCES
 from koopdqn.pose import POSITION, QUATERNION
 from koopdqn.robot.scene import SceneBuilder
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.workcell import build_scene
 from koopdqn.view.bake import MOST_FRAMES, baked_scene, baked_trust, frames_of, link_poses, moving_links, rounded
-from koopdqn.view.motions import edge_of, strips_of
+from koopdqn.view.motions import demonstrated_motions, edge_of, strips_of
 
 JOINTS = np.array([[0.1, -1.2, 1.0, -0.4, 0.7, 0.2], [0.0, -1.6, 1.6, -1.6, -1.5, 0.0]])
 
@@ -166,3 +167,13 @@ def test_what_is_baked_stays_small() -> None:
     for motion in shown().content()["motions"]:
         assert len(motion["frames"]) == len(motion["path"]) <= MOST_FRAMES
         assert len(motion["links"]) <= len(motion["frames"])
+
+
+def test_joints_of_another_arm_are_not_this_ones() -> None:
+    poses, reachability = taught().trajectories[0], shelf().reachability
+    own = np.array(reachability.follow_as_far(poses)[0])
+    for given in (own, own + 0.1, np.zeros((len(own), 7))):
+        item = Demonstration(0.02 * np.arange(len(poses)), poses, given)
+        (motion,) = demonstrated_motions([item], reachability, shelf().task, 1)
+        np.testing.assert_allclose(reachability.arm.forward(motion.joints)[:, :3], poses[:, :3], atol=1e-6)
+        assert np.array_equal(motion.joints, given) == (given is own)

@@ -59,8 +59,13 @@ def build(sweep: Path, runs: Sequence[SweptRun], folder: Path) -> dict[str, Any]
     return content
 
 
+_LONGEST: Final = 40
+"""Letters of a line of a variant's label in the plot."""
+
+
 def _label(variant: Variant) -> str:
-    lines = [f"{key}={value}" for key, value in variant.overrides.items()] or ["as given"]
+    given = [f"{key}={value}" for key, value in variant.overrides.items()] or ["as given"]
+    lines = [each if len(each) <= _LONGEST else f"{each[: _LONGEST - 1]}…" for each in given]
     if variant.finished < variant.runs:
         lines.append(f"({variant.finished} of {variant.runs} finished)")
     return "\n".join(lines)

@@ -70,7 +70,7 @@ def read_checkpoint(
             began["intent"] = described(load_settings(began["intent"], IntentSettings, "intent"))
         if arm is not None:
             was: Any = recorded_arm(began["robot"], arm)
-            began["robot"] = described(was)
+            began["robot"] = began["robot"] if was is None else described(was)
         ways = [_differences("", began, json.loads(canonical_json(each))) for each in (shaped_by, earlier) if each]
         other = ways[0] if all(ways) else []
         float(artifact.about["seconds"])

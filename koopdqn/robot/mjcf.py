@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from koopdqn.artifact import described
 from koopdqn.pose import Array, position_distance, rotation_distance
 from koopdqn.robot.arm import Arm, InverseResult, unwrapped_batch
 from koopdqn.robot.chain import Chain, ClosedForm
@@ -239,12 +238,17 @@ def _has_closed_form(chain: Chain) -> bool:
     return True
 
 
-def recorded_arm(held: Mapping[str, Any], mine: Arm) -> Arm:
+def recorded_arm(held: Mapping[str, Any], mine: Arm) -> Arm | None:
     """Return the arm that an artifact holds; one of a file lies where ``mine`` does, since artifacts name no place.
+
+    It is None if it is one of a file and ``mine`` is not.
 
     Raises:
         BadInputError: it is no arm, or of another file.
     """
-    place = {"path": mine.mjcf} if isinstance(mine, MjcfArm) and held.get(TARGET) == described(mine)[TARGET] else {}
+    of_file = held.get(TARGET) == f"{MjcfArm.__module__}.{MjcfArm.__qualname__}"
+    if of_file and not isinstance(mine, MjcfArm):
+        return None
+    place = {"path": mine.mjcf} if of_file and isinstance(mine, MjcfArm) else {}
     arm: Any = load_settings({**held, **place}, Arm, "robot")
     return cast(Arm, arm)

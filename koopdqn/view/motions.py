@@ -15,6 +15,7 @@ from koopdqn.evaluation.schema import EvaluationSettings
 from koopdqn.intent.model import IntentModel
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
+from koopdqn.robot.arm import Arm
 from koopdqn.tasks.actions import FIRST_TWIST
 from koopdqn.tasks.knife import KnifeTask
 from koopdqn.tasks.moved_goals import DrawnStarts
@@ -22,6 +23,9 @@ from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Reachability, Workcell
 from koopdqn.view.bake import frames_of, link_poses, rounded
+
+# Joints of another arm bring this one elsewhere than their poses by more than this [m].
+_SAME_PLACE_M = 1e-3
 
 Kind = Literal["learned", "intent", "demonstration"]
 """What made a motion."""
@@ -192,10 +196,21 @@ def demonstrated_motions(
     items: Sequence[Demonstration], reachability: Reachability, task: Task | None, most: int
 ) -> list[Motion]:
     """Return demonstrations as motions, the first ``most`` of them; of no task each has its own end as its goal."""
+    arm = reachability.arm
     return [
-        followed(f"demonstration {index}", "demonstration", item.poses, reachability, task, known=item.joints)
+        followed(
+            f"demonstration {index}", "demonstration", item.poses, reachability, task, known=_own_joints(item, arm)
+        )
         for index, item in enumerate(items[:most])
     ]
+
+
+def _own_joints(item: Demonstration, arm: Arm) -> Array | None:
+    """Return a demonstration's joints (T, n) [rad] if they bring this arm where its poses are."""
+    if item.joints is None or item.joints.shape[1] != len(arm.joint_names):
+        return None
+    off = pose.position_distance(arm.forward(item.joints), item.poses).max()
+    return item.joints if off < _SAME_PLACE_M else None
 
 
 def followed(

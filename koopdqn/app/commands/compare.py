@@ -12,10 +12,9 @@ import numpy as np
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
-from koopdqn.app.commands.trained import TrainedRun, as_trained, read_trained
-from koopdqn.app.hydra.application import CommandResult
+from koopdqn.app.commands.trained import TrainedRun, as_recorded, as_trained, read_trained
+from koopdqn.app.hydra.application import CommandResult, given_now, own_options
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.hydra.overrides import prepare
 from koopdqn.app.hydra.record import GROUPS, read_record
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -93,8 +92,9 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         mode="json"
     )
     write_json(folder / "compare.json", result)
+    own = [*own_options(), *given_now("robot.path")]
     missing = [
-        f"not evaluated: {each.label}: {shlex.join(['koopdqn', 'eval', f'run={each.folder}'])}"
+        f"not evaluated: {each.label}: {shlex.join(['koopdqn', 'eval', *own, f'run={each.folder}'])}"
         for each in found
         if not each.evaluation
     ]
@@ -107,7 +107,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
 def _read(place: Path, label: str, config: Configuration) -> _Run:
     """Return the run in a folder, with its config as it was trained."""
     trusted = f"trust_modules=[{','.join(config.inputs.trust_modules)}]"
-    tree = composed(prepare("eval", [f"run={place}", trusted]).overrides)
+    tree = composed(as_recorded(place, config, trusted))
     own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
     trained = read_trained(own, place)
     # As it was trained, where today's defaults or intent=FILE differ.
@@ -157,7 +157,8 @@ def _motions(each: _Run, colour: str, numbers: Sequence[int], starts: Array, fir
     cell, limit = each.trained.workcell, each.trained.step_limit
     joints = np.array([cell.reachability.enter(start).joints for start in starts])
     references = reference_paths(cell.task, starts, limit) if each.trained.referred else [None] * len(starts)
-    same = each.config.robot == first.config.robot
+    arms: list[Any] = [each.config.robot, first.config.robot]
+    same = described(arms[0]) == described(arms[1])
     made = []
     episodes = roll_out(each.trained.policy, cell.task, cell.reachability, starts, joints, limit)
     for number, episode, reference in zip(numbers, episodes, references, strict=True):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.hydra.application import CommandResult
+from koopdqn.app.hydra.application import CommandResult, own_options
 from koopdqn.app.hydra.compose import composed
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -45,7 +45,8 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     """
     settings = config.report
     if settings.sweep is not None:
-        return _of_sweep(settings, settings.sweep, folder / "report")
+        trusted = [f"trust_modules=[{','.join(config.inputs.trust_modules)}]"] if config.inputs.trust_modules else []
+        return _of_sweep(settings, settings.sweep, folder / "report", [*own_options(), *trusted])
     presets = all_presets()
     made: list[Path] = []
     if settings.make:
@@ -73,19 +74,28 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     return CommandResult(content, lines)
 
 
-def _of_sweep(settings: ReportSettings, found: Path, target: Path) -> CommandResult:
-    """Write the page of a sweep; with ``report.make`` evaluate first what is finished and was not evaluated."""
+def _of_sweep(settings: ReportSettings, found: Path, target: Path, own: Sequence[str]) -> CommandResult:
+    """Write the page of a sweep; with ``report.make`` evaluate first what is finished and was not evaluated.
+
+    The evaluations are given the words ``own``. Where one fails, the others are made, and the exit status is 1.
+    """
     if settings.runs:
         shown = ", ".join(map(str, settings.runs))
         raise BadInputError(f"report.runs: must be empty where sweep= names the folder to show, found {shown}")
     elsewhere = [RUNS] if RUNS.is_dir() else []
     runs = find_sweep(found, elsewhere)
+    failed = 0
     missing = [run for run in runs if run.state == "finished" and run.evaluation is None] if settings.make else []
     if missing:
         with console.stage("Evaluating the sweep", len(missing)) as stage:
             for run in missing:
                 measured = _new_folder("sweep", "eval")
-                _koopdqn("eval", [f"run={run.folder}", f"out={measured}"], measured / EVALUATION)
+                try:
+                    _koopdqn("eval", [*own, f"run={run.folder}", f"out={measured}"], measured / EVALUATION)
+                except WorkFailedError as error:
+                    # The others can still be evaluated.
+                    console.warn(str(error))
+                    failed = 1
                 stage.advance()
         runs = find_sweep(found, [RUNS])
     content = sweep.build(found, runs, target)
@@ -96,7 +106,7 @@ def _of_sweep(settings: ReportSettings, found: Path, target: Path) -> CommandRes
         f"plot   {console.shown_path(target / 'sweep.png')}",
     ]
     lines += [f"{run.state}: {run.folder}: {run.reason}" for run in runs if run.reason]
-    return CommandResult(content, lines)
+    return CommandResult(content, lines, exit_status=failed)
 
 
 def all_presets() -> Presets:

@@ -1,6 +1,5 @@
 """What a finished training left in its folder, read back to look at it."""
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,8 +9,10 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
+from koopdqn.app.hydra.application import given_now, how_to_go_on, search_path
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
+from koopdqn.app.hydra.record import read_record
 from koopdqn.artifact import below, described, read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
@@ -25,7 +26,7 @@ from koopdqn.rl.checkpoint import latest_checkpoint
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, PolicyAround, around, read_policy
 from koopdqn.robot.arm import Arm
-from koopdqn.robot.mjcf import recorded_arm
+from koopdqn.robot.mjcf import MjcfArm, recorded_arm
 from koopdqn.run_folder import BEGUN, CHECKPOINT, INTENT, POLICY, TRAINING
 from koopdqn.settings import load_settings, shown
 from koopdqn.tasks.demonstrated import DemonstratedTask
@@ -100,6 +101,18 @@ def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Fee
     return feedback
 
 
+def as_recorded(run: Path, config: Configuration, *more: str) -> list[str]:
+    """Return the overrides that make the config that a run was begun with, as Hydra takes them.
+
+    What a run folder cannot say is the present command's: where options are searched, and where its arm's file lies.
+    """
+    given = [f"run={run}", *more]
+    arms = [item.value for item in read_record(run, "a training run") if item.key == "robot"]
+    if arms[-1:] == ["mjcf"]:
+        given += [f"robot.path={config.robot.path}"] if isinstance(config.robot, MjcfArm) else given_now("robot")
+    return [*prepare("eval", given).overrides, *search_path()]
+
+
 def as_trained(config: Configuration, run: Path) -> Configuration:
     """Return a config with the task, arm and reward that a run was trained with, as its policy's file holds them.
 
@@ -111,8 +124,9 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
     """
     policy = run / POLICY
     if not policy.exists() and (run / BEGUN).is_file():
-        again = shlex.join(["koopdqn", "train", f"run={console.shown_path(run)}"])
-        raise BadInputError(f"run: must have been trained to its end, found it stopped on the way; {again} goes on")
+        raise BadInputError(
+            f"run: must have been trained to its end, found it stopped on the way; {how_to_go_on('train', run)}"
+        )
     artifact = read_artifact(policy, "policy")
     about = artifact.about
     taken = "continuous" if "actions" in about else "table1"
@@ -120,7 +134,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         raise BadInputError(f"actions: must be those of the run's policy, {taken}, found {config.inputs.actions}")
     with reading(f"policy {policy}"):
         task = load_settings(about["task"], Task, "task")
-        robot = recorded_arm(about["robot"], config.robot)
+        robot = recorded_arm(about["robot"], config.robot) or config.robot
         reward = load_settings(about["reward"], RewardSettings, "reward")
         unfolding = Unfolding.restore(below(artifact.arrays, "frame/"))
     if not task.obstacles:
@@ -132,7 +146,7 @@ def as_trained(config: Configuration, run: Path) -> Configuration:
         config = _shown_as_trained(config, task, unfolding)
     if not changed:
         return config
-    recorded = composed(prepare("eval", [f"run={run}"]).overrides)
+    recorded = composed(as_recorded(run, config))
     if config.task.obstacles and not about["task"].get("obstacles"):
         recorded.task.obstacles = described(config.task)["obstacles"]
     default = with_task(Configuration.load(recorded), run, keep=False)
@@ -158,7 +172,7 @@ def differs_from_trained(robot: Arm, trained: Mapping[str, Any]) -> bool:
     """Return whether an arm is another than the one that a policy's file says it was trained with."""
     mine: Any = robot
     its: Any = recorded_arm(trained, robot)
-    return described(mine) != described(its)
+    return its is None or described(mine) != described(its)
 
 
 def step_limit_of(run: Path) -> int:

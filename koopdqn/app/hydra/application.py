@@ -46,6 +46,8 @@ class CommandResult:
     exit_status: int = 0
 
 
+_CONFIG = "config"
+
 Work = Callable[[str, "DictConfig", Path], CommandResult]
 """What a command does: its name, the composed config and the run folder, to a result."""
 
@@ -109,31 +111,52 @@ def record_continued() -> None:
         return
     record, folder = _continued
     _continued = None
-    config = composed([*record, *_search_path()])
+    config = composed([*record, *search_path()])
     for name, content in ((RECORD.name, OmegaConf.create(list(record))), ("config.yaml", config)):
         with atomic_path(folder / RECORD.with_name(name)) as path:
             path.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
 
 
-def _search_path() -> list[str]:
-    """Return the present command's override of where options are searched, if it has one."""
+def given_now(key: str) -> list[str]:
+    """Return the present command's overrides of a key."""
     from hydra.core.hydra_config import HydraConfig
 
-    return [each for each in HydraConfig.get().overrides.hydra if each.startswith("hydra.searchpath")]
+    if not HydraConfig.initialized():
+        return []
+    overrides = HydraConfig.get().overrides
+    return [each for each in (*overrides.hydra, *overrides.task) if each.partition("=")[0].lstrip("+") == key]
+
+
+def search_path() -> list[str]:
+    """Return the present command's override of where options are searched, if it has one."""
+    return given_now("hydra.searchpath")
+
+
+def own_options() -> list[str]:
+    """Return the words that give another command the present one's config folder, its name, and its search path."""
+    from hydra.core.hydra_config import HydraConfig
+
+    if not HydraConfig.initialized():
+        return []
+    hydra, option = HydraConfig.get(), {"command-line": "--config-dir", "main": "--config-path"}
+    folders = [
+        f"{option[source.provider]}={source.path}"
+        for source in hydra.runtime.config_sources
+        if source.provider in option and source.path != str(conf_dir())
+    ]
+    named = [] if hydra.job.config_name == _CONFIG else [f"--config-name={hydra.job.config_name}"]
+    return [*folders, *named, *search_path()]
+
+
+def to_go_on(command: str, folder: Path) -> str:
+    """Return the command that goes on with a run of a command in its folder, as a shell takes it."""
+    command, *rest = going_on(command, folder)
+    return shlex.join(["koopdqn", command, *own_options(), *rest])
 
 
 def how_to_go_on(command: str, folder: Path) -> str:
-    """Return what goes on with the present command in its run folder, as a shell takes it: "koopdqn … goes on"."""
-    from hydra.core.hydra_config import HydraConfig
-
-    option = {"command-line": "--config-dir", "main": "--config-path"}
-    own = [
-        f"{option[source.provider]}={source.path}"
-        for source in HydraConfig.get().runtime.config_sources
-        if source.provider in option and source.path != str(conf_dir())
-    ]
-    command, *rest = going_on(command, folder)
-    return f"{shlex.join(['koopdqn', command, *own, *_search_path(), *rest])} goes on"
+    """Return what goes on with the present command in its run folder: "koopdqn … goes on"."""
+    return f"{to_go_on(command, folder)} goes on"
 
 
 def run(
@@ -175,12 +198,16 @@ def show(command: str, options: Sequence[str], overrides: Sequence[str]) -> int:
     """
     job = Job(command, Path(), False, None, _no_work)
     messages = io.StringIO()
+    # Hydra logs what it shows: of a reader that goes away (`| head`) every line would be told as an error.
+    before, logging.raiseExceptions = logging.raiseExceptions, False
     try:
         with contextlib.redirect_stderr(messages):
             _call_hydra(job, [*options, *overrides], check_folder=False)
     except SystemExit as stop:
         if stop.code:
             raise BadInputError(" ".join(messages.getvalue().split()) or "Hydra could not show this") from stop
+    finally:
+        logging.raiseExceptions = before
     if messages.getvalue():
         console.note(messages.getvalue())
     return 0
@@ -202,7 +229,7 @@ def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> No
     sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
     refused = False
     try:
-        hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="config")(job)()
+        hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=_CONFIG)(job)()
     except BadInputError:
         refused = True
         raise

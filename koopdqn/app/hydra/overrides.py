@@ -45,6 +45,8 @@ _SHORT_NAMES: Final = {
 _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
 """Keys without effect from Python."""
 _HYDRAS: Final = ("hydra.", "hydra/")
+_FOLDERS: Final = ("hydra.run.dir", "hydra.sweep.dir")
+"""Where Hydra would write before anything could be refused."""
 _COPIES: Final = {"demos": DEMONSTRATIONS, "intent_file": INTENT}
 """Inputs that a run keeps a copy of, and its name."""
 
@@ -176,7 +178,8 @@ def _with_files(overrides: Sequence[str]) -> list[str]:
 
 def _with_runs(overrides: Sequence[str], most: int) -> list[str]:
     """Return the overrides with every ``run=DIR`` gathered in ``compare.runs=``, the first of them kept."""
-    folders = [_value(each) for each in overrides if _key(each) == "run"]
+    named = [_value(each) for each in overrides if _key(each) == "run"]
+    folders = [str(Path(each).expanduser()) if each.startswith("~") else each for each in named]
     rest = [each for each in overrides if _key(each) != "run"]
     if any(_key(each) == "compare.runs" for each in rest):
         raise BadInputError("compare.runs: is given as run=DIR run=DIR, found compare.runs=")
@@ -190,17 +193,20 @@ def _check_compared(prepared: Sequence[str]) -> None:
     heeded = ("run", "compare", "out", "eval", "trust_modules", "hydra")
     for override in prepared:
         key = _key(override)
-        if key != "view.starts" and key.partition(".")[0] not in heeded:
+        if key not in ("view.starts", "robot.path") and key.partition(".")[0] not in heeded:
             raise BadInputError(f"{key}: koopdqn compare shows its runs as they were trained, found {shown(override)}")
 
 
 def _looking_at(folder: str, command: str, prepared: Sequence[str]) -> Prepared:
     given = {_name(override) for override in prepared}
+    every = _recorded(folder, "train", measured=True)
     # A run's own inputs lie in its folder, and nobody is asked any more.
-    unread = ("demos", "intent_file", "oracle")
-    recorded = [
-        item for item in _recorded(folder, "train", measured=True) if item.name not in given and item.root not in unread
-    ]
+    unread = ["demos", "intent_file", "oracle"]
+    arms = [_value(each) for each in prepared if _key(each) == "robot"]
+    if arms and any(item.key == "robot" and item.value != arms[-1] for item in every):
+        # The recorded arm's own numbers are not the other's.
+        unread.append("robot")
+    recorded = [item for item in every if item.name not in given and item.root not in unread]
     own = check_record(recorded, Path(folder), _trusted(prepared), [])
     rest = [item for item in prepared if _key(item) != "run"]
     return Prepared([*own, *rest, f"run={_text(folder)}", f"command={command}"])
@@ -249,6 +255,8 @@ def _prepare_one(command: str, override: str) -> str:
         name = "intent_file"
     if name in GROUPS and (value == "null" or _NUMBER_OR_BOOLEAN.fullmatch(value)):
         raise BadInputError(f"{name}: must name an option, found {value}")
+    if name in _FOLDERS:
+        raise BadInputError(f"{name}: must be left out, since out= names the run folder, found {value}")
     if name == "obstacles":
         return _obstacles(value)
     own_keys = COMMANDS[command].own_keys

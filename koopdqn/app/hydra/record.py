@@ -104,7 +104,7 @@ def check_record(
     kept = []
     for item in _that_hold(recorded, replaced):
         for key, value in _leaves(item.key, item.value):
-            _check_leaf(key, value, folder, trusted)
+            _check_leaf(key, value, folder, trusted, item.key)
         kept.append(item.text)
     return kept
 
@@ -183,7 +183,7 @@ def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def _check_leaf(key: str, value: Any, folder: Path, trusted: Sequence[str]) -> None:
+def _check_leaf(key: str, value: Any, folder: Path, trusted: Sequence[str], given: str) -> None:
     record = folder / RECORD
     *_, last = parts = key.split(".")
     odd = [part for part in parts if not _NAME.fullmatch(part)]
@@ -194,19 +194,19 @@ def _check_leaf(key: str, value: Any, folder: Path, trusted: Sequence[str]) -> N
     elif last == "asset":
         check_asset(str(value))
     elif last in PATH_NAMES and value is not None:
-        _check_path(key, value, folder)
+        _check_path(key, value, folder, given)
     elif isinstance(value, str):
         for found in re.finditer(r"\$\{", value):
             if not _REFERENCE.match(value, found.start()):
                 raise BadInputError(f"run: {record}: {key} may refer to koopdqn's own keys, found {shown(value)}")
 
 
-def _check_path(key: str, value: Any, folder: Path) -> None:
+def _check_path(key: str, value: Any, folder: Path, given: str) -> None:
     own = folder.resolve()
     # A reference is resolved only later, and a home folder lies elsewhere.
     plain = isinstance(value, str) and "${" not in value and "\0" not in value and not value.startswith("~")
     if not plain or not Path(value).resolve().is_relative_to(own):
         raise BadInputError(
             f"run: {folder / RECORD}: {key} must lie in the run folder, found {shown(value)};"
-            f" give {key}= again if it is still to be read or written"
+            f" give {given}= again if it is still to be read or written"
         )
