@@ -173,7 +173,7 @@ def test_joints_of_another_arm_are_not_this_ones() -> None:
     poses, reachability = taught().trajectories[0], shelf().reachability
     own = np.array(reachability.follow_as_far(poses)[0])
     for given in (own, own + 0.1, np.zeros((len(own), 7))):
-        item = Demonstration(0.02 * np.arange(len(poses)), poses, given)
+        item = Demonstration(0.02 * np.arange(float(len(poses))), poses, given)
         (motion,) = demonstrated_motions([item], reachability, shelf().task, 1)
         np.testing.assert_allclose(reachability.arm.forward(motion.joints)[:, :3], poses[:, :3], atol=1e-6)
         assert np.array_equal(motion.joints, given) == (given is own)
