@@ -28,6 +28,7 @@ from koopdqn.rl.policy import PolicyAround
 from koopdqn.run_folder import EVALUATION, RUNS
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out
+from koopdqn.untrusted import targets, trusting
 from koopdqn.view.motions import Motion, demonstrated_motions, learned_motion, shown_starts
 from koopdqn.view.page import Listing, Shown, write_page
 from koopdqn.view.schema import ComparedRun, CompareFile, Difference
@@ -108,8 +109,10 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     """Return the run in a folder, with its config as it was trained."""
     trusted = f"trust_modules=[{','.join(config.inputs.trust_modules)}]"
     tree = composed(as_recorded(place, config, trusted))
-    own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
-    trained = read_trained(own, place)
+    # As for the first of the runs: what its config names was named by the user.
+    with trusting([str(target).rpartition(".")[0] for _, target in targets(plain(tree))]):
+        own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
+        trained = read_trained(own, place)
     # As it was trained, where today's defaults or intent=FILE differ.
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
     known |= {"intent": described(trained.intent.settings), "trust": described(trained.intent.trust.settings)}
