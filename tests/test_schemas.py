@@ -220,7 +220,7 @@ def test_every_file_of_a_run_folder_is_documented(run: Path) -> None:
     # Those of `koopdqn demo` and `inspect`, of a person at the terminal, of films, and of what only looks.
     others = {"demos.png", "inspect.json", "inspect.png", "keys.jsonl", "questions/", "eval.mp4", "view.html"}
     others |= {"explain.json", "explain.png", "compare.json", "compare.html", "stream.json", "correct.json"}
-    others |= {"waypoints.csv"}
+    others |= {"waypoints.csv", ".lock"}
     assert names - found == others
     assert found - names == set()
 

@@ -100,6 +100,9 @@ def prepare(command: str, overrides: Sequence[str], *, multirun: bool = False) -
         overrides = _with_runs(overrides, what.most_runs)
     prepared = [_prepare_one(command, override) for override in overrides]
     keys = [_key(override) for override in prepared]
+    if own := next((override for override in prepared if _key(override) in _FOLDERS), None):
+        rule = "must be left out, since out= names the run folder"
+        raise BadInputError(f"{_key(own)}: {rule}, found {_value(own)}")
     if "command" in keys:
         raise BadInputError(f"command: is set by the subcommand ({command}) and cannot be overridden")
     if what.once and multirun:
@@ -255,8 +258,6 @@ def _prepare_one(command: str, override: str) -> str:
         name = "intent_file"
     if name in GROUPS and (value == "null" or _NUMBER_OR_BOOLEAN.fullmatch(value)):
         raise BadInputError(f"{name}: must name an option, found {value}")
-    if name in _FOLDERS:
-        raise BadInputError(f"{name}: must be left out, since out= names the run folder, found {value}")
     if name == "obstacles":
         return _obstacles(value)
     own_keys = COMMANDS[command].own_keys
