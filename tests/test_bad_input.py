@@ -102,7 +102,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
             "has no class 'Nope'; valid: Affine",
         ),
         ("robot.asset=ur5", "unknown asset 'ur5'; valid: ur5/"),
-        ("robot.asset=ur5/README.md", "the scene of task shelf must compile in MuJoCo, which says: could not find decoder for resource"),
+        ("robot.asset=ur5/README.md", "the scene of task shelf must compile in MuJoCo, which says: could not find"),
         ("robot.flange_site=hand", "unknown site of ur5/ur5.xml 'hand'; valid: attachment_site"),
         ("robot.joint_names=[a,b,c,d,e,f]", "unknown joint of ur5/ur5.xml 'a'; valid: elbow_joint"),
         ("start=[nan,0,0,0,0,0]", "program.start: must be nominal, 6 joint angles [rad], a pose of 7 numbers"),
