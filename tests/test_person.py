@@ -155,6 +155,19 @@ class Direct(Person):
         )
 
 
+class Nowhere(Person):
+    """Aims at no place."""
+
+    def expert(self, shown: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
+        return Expert(shown, lambda path, positions, arc, step: positions + np.nan, goal, step, turn)
+
+
+def test_a_person_who_aims_nowhere_is_refused_by_name(shelf_task: ShelfTask, workcell: Workcell) -> None:
+    task = with_fields(shelf_task, person={"target": f"{__name__}.Nowhere", "name": "nowhere"})
+    with pytest.raises(BadInputError, match=r"task shelf: person nowhere must aim at finite positions, .* found nan"):
+        open_workcell(task, workcell.arm)
+
+
 def test_a_person_of_ones_own_takes_part_by_target(shelf_task: ShelfTask) -> None:
     node = {"target": f"{__name__}.Direct", "name": "direct", "least_m": 0.1}
     task = with_fields(shelf_task, person=node)

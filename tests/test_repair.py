@@ -93,6 +93,17 @@ def test_a_skip_before_an_undo_is_not_answered_later(tmp_path: Path) -> None:
     assert read_records(tmp_path / "merged.jsonl").items[1].line.right is None
 
 
+def test_a_skip_before_an_undo_that_waits_for_an_answer_is_not_answered(tmp_path: Path) -> None:
+    path = tmp_path / "feedback.jsonl"
+    written(path, [Answer(True, "anna"), Answer(None, "anna")])
+    with path.open("a", encoding="utf-8") as file:
+        file.write('{"kind": "undo", "number": 0, "before": 2, "episode": 0, "step": 0}\n')
+    assert read_records(path).pending == 1
+    with pytest.raises(BadInputError, match="skipped question before an answer was withdrawn, found 1"):
+        change(path, 1, "wrong")
+    change(path, 1, "wrong", drop_later=True)
+
+
 def test_dropping_what_is_later_asks_it_anew(tmp_path: Path) -> None:
     path = tmp_path / "feedback.jsonl"
     yes = Answer(True, "anna")

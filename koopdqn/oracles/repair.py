@@ -121,8 +121,12 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
 
 
 def _passed_by_undo(records: Records, number: int) -> bool:
-    """Return whether an answer was withdrawn after a question was skipped: it would count if it were answered."""
-    return records.items[number].line.right is None and any(item.undo for item in records.items[number + 1 :])
+    """Return whether an answer was withdrawn after a question was skipped: it would count if it were answered.
+
+    One may wait for the next answer, which will withdraw it.
+    """
+    skipped = records.items[number].line.right is None
+    return skipped and (records.pending > 0 or any(item.undo for item in records.items[number + 1 :]))
 
 
 @dataclass(frozen=True)

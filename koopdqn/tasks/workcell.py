@@ -263,6 +263,9 @@ def _check_methods(task: Task, step_seconds: float) -> None:
     broken = np.asarray(broken) if isinstance(broken, list | tuple) else broken
     if odd := _odd(broken, (len(path),), "biu", lambda values: (values == 0) | (values == 1)):
         raise _returns(task, "rule_broken", f"return booleans of shape {(len(path),)}, one a pose", *odd)
+    following = task.demonstrator.next_pose(path)
+    if odd := _odd(following, path.shape, "f", np.isfinite):
+        raise _returns(task, f"person {task.person.name}", "aim at finite positions, one a pose", *odd)
     measures = task.measures(path, step_seconds)
     values = measures.values() if isinstance(measures, Mapping) else [None]
     if not all(_is_array(np.asarray(each), (), "biuf") for each in values):

@@ -165,8 +165,15 @@ class Device:
         atexit.unregister(self.leave)
         with contextlib.suppress(PauseRequested):
             self.write(_LEAVE)
-        with contextlib.suppress(termios.error):
-            termios.tcsetattr(self._in, termios.TCSANOW, before)
+        main = threading.current_thread() is threading.main_thread()
+        # What this was started by may have stopped first: the terminal is the shell's then, and setting it stops this too.
+        held = signal.signal(signal.SIGTTOU, signal.SIG_IGN) if main else None
+        try:
+            with contextlib.suppress(termios.error):
+                termios.tcsetattr(self._in, termios.TCSANOW, before)
+        finally:
+            if held is not None:
+                signal.signal(signal.SIGTTOU, held)
 
     def _suspend(self, number: int, frame: FrameType | None) -> None:
         """Stop as Ctrl-Z asks, with the shell's own screen, and come back to this one."""
