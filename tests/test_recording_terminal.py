@@ -106,7 +106,7 @@ def test_every_interruption_restores_the_terminal_and_keeps_the_moves(tmp_path: 
             assert session.finish() == 130
         assert RESTORED.search(session.raw)
         said = " ".join(session.raw.decode().split())
-        assert "everything so far is kept; koopdqn demo" in said
+        assert "everything so far is kept; python -m koopdqn demo" in said
         assert said.endswith("goes on")
     keys = [json.loads(line).get("key") for line in (folder / LOG).read_text().splitlines()]
     assert keys == [None, "r", "a"]

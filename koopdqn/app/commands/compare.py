@@ -13,7 +13,7 @@ from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.trained import TrainedRun, as_recorded, as_trained, read_trained
-from koopdqn.app.hydra.application import CommandResult, given_now, own_options
+from koopdqn.app.hydra.application import CommandResult, given_now, own_options, program
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.record import GROUPS, read_record
 from koopdqn.artifact import described
@@ -95,7 +95,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     write_json(folder / "compare.json", result)
     own = [*own_options(), *given_now("robot.path")]
     missing = [
-        f"not evaluated: {each.label}: {shlex.join(['koopdqn', 'eval', *own, f'run={each.folder}'])}"
+        f"not evaluated: {each.label}: {shlex.join([*program(), 'eval', *own, f'run={each.folder}'])}"
         for each in found
         if not each.evaluation
     ]

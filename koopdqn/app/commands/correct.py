@@ -13,7 +13,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.trained import differs_from_trained, step_limit_of
-from koopdqn.app.hydra.application import CommandResult, own_options
+from koopdqn.app.hydra.application import CommandResult, own_options, program
 from koopdqn.app.recording.correcting import correct_by_keys
 from koopdqn.app.recording.showing import Showing
 from koopdqn.errors import BadInputError
@@ -143,7 +143,7 @@ def _shown(learned: _Learned, source: Path, folder: Path) -> _Corrected:
 def _again(source: Path, waypoints: str) -> str:
     """Return the command that corrects a run by waypoints, as a shell takes it."""
     given = [f"run={console.shown_path(source)}", f"waypoints={waypoints}"]
-    return shlex.join(["koopdqn", "correct", *own_options(), *given])
+    return shlex.join([*program(), "correct", *own_options(), *given])
 
 
 def _mean_mm(distances: Array) -> float:

@@ -148,10 +148,17 @@ def own_options() -> list[str]:
     return [*folders, *named, *search_path()]
 
 
+def program() -> list[str]:
+    """Return the words by which this program was started: as a module it finds others in the present folder."""
+    started = Path(sys.argv[0])
+    as_module = (started.parent.name, started.name) == ("koopdqn", "__main__.py")
+    return ["python", "-m", "koopdqn"] if as_module else ["koopdqn"]
+
+
 def to_go_on(command: str, folder: Path) -> str:
     """Return the command that goes on with a run of a command in its folder, as a shell takes it."""
     command, *rest = going_on(command, folder)
-    return shlex.join(["koopdqn", command, *own_options(), *rest])
+    return shlex.join([*program(), command, *own_options(), *rest])
 
 
 def how_to_go_on(command: str, folder: Path) -> str:

@@ -166,7 +166,7 @@ class Device:
         with contextlib.suppress(PauseRequested):
             self.write(_LEAVE)
         main = threading.current_thread() is threading.main_thread()
-        # What this was started by may have stopped first: the terminal is the shell's then, and setting it stops this too.
+        # What this was started by may have stopped first, and the terminal be the shell's: setting it stops this too.
         held = signal.signal(signal.SIGTTOU, signal.SIG_IGN) if main else None
         try:
             with contextlib.suppress(termios.error):
