@@ -141,7 +141,7 @@ def test_the_key_that_pauses_is_heeded_before_a_question_stands(tmp_path: Path) 
         session.wait(QUESTION)
         session.press("nq")
         assert session.finish() == 130
-        assert f"paused; everything so far is kept; python -m koopdqn train run={folder} goes on" in session.raw.decode()
+        assert f"everything so far is kept; python -m koopdqn train run={folder} goes on" in session.raw.decode()
     assert len(answers(folder)) == 1
 
 
