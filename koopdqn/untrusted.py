@@ -77,3 +77,8 @@ def targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     elif isinstance(node, list | tuple):
         for index, value in enumerate(node):
             yield from targets(value, f"{key}[{index}]")
+
+
+def modules_named(node: Any) -> list[str]:
+    """Return the modules of the classes that every ``target`` in nested mappings and lists names."""
+    return [str(target).rpartition(".")[0] for _, target in targets(node)]

@@ -31,7 +31,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
     from koopdqn.app.commands.trained import as_trained
     from koopdqn.settings import plain
     from koopdqn.threads import threads
-    from koopdqn.untrusted import targets, trusting
+    from koopdqn.untrusted import modules_named, trusting
 
     settings = Configuration.load(config)
     what = COMMANDS[command]
@@ -43,7 +43,7 @@ def run(command: str, config: "DictConfig", folder: Path) -> CommandResult:
             rule = f"must be left out, as koopdqn {command} does not take it"
             raise BadInputError(f"{key.removesuffix('_file')}: {rule}, found {found!r}; taken by: {takers}")
     # What the config names was named by the user: a run's record may name classes of koopdqn alone.
-    named = [str(target).rpartition(".")[0] for _, target in targets(plain(config))]
+    named = modules_named(plain(config))
     with warnings.catch_warnings(), trusting([*settings.inputs.trust_modules, *named]), threads(settings.train.threads):
         # What diverges is found and told where it matters; NumPy's own lines about it help nobody.
         if not sys.warnoptions:

@@ -28,7 +28,7 @@ from koopdqn.rl.policy import PolicyAround
 from koopdqn.run_folder import EVALUATION, RUNS
 from koopdqn.settings import plain
 from koopdqn.tasks.rollout import roll_out
-from koopdqn.untrusted import targets, trusting
+from koopdqn.untrusted import modules_named, trusting
 from koopdqn.view.motions import Motion, demonstrated_motions, learned_motion, shown_starts
 from koopdqn.view.page import Listing, Shown, write_page
 from koopdqn.view.schema import ComparedRun, CompareFile, Difference
@@ -110,7 +110,7 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     trusted = f"trust_modules=[{','.join(config.inputs.trust_modules)}]"
     tree = composed(as_recorded(place, config, trusted))
     # As for the first of the runs: what its config names was named by the user.
-    with trusting([str(target).rpartition(".")[0] for _, target in targets(plain(tree))]):
+    with trusting(modules_named(plain(tree))):
         own = as_trained(with_task(Configuration.load(tree), place, keep=False), place)
         trained = read_trained(own, place)
     # As it was trained, where today's defaults or intent=FILE differ.
