@@ -155,15 +155,10 @@ def program() -> list[str]:
     return ["python", "-m", "koopdqn"] if as_module else ["koopdqn"]
 
 
-def to_go_on(command: str, folder: Path) -> str:
-    """Return the command that goes on with a run of a command in its folder, as a shell takes it."""
-    command, *rest = going_on(command, folder)
-    return shlex.join([*program(), command, *own_options(), *rest])
-
-
 def how_to_go_on(command: str, folder: Path) -> str:
-    """Return what goes on with the present command in its run folder: "koopdqn … goes on"."""
-    return f"{to_go_on(command, folder)} goes on"
+    """Return what goes on with a run of a command in its folder, as a shell takes it: "koopdqn … goes on"."""
+    command, *rest = going_on(command, folder)
+    return f"{shlex.join([*program(), command, *own_options(), *rest])} goes on"
 
 
 def run(
