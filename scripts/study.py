@@ -32,7 +32,7 @@ from docs import replaced
 from koopdqn import console
 from koopdqn.app.exit_status import guard
 from koopdqn.errors import BadInputError, WorkFailedError, unknown_name
-from koopdqn.files import read_json, write_json, write_text
+from koopdqn.files import canonical_json, read_json, write_text
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 DATA: Final = Path("..") / "shared" / "data"
@@ -130,7 +130,9 @@ class Study:
             BadInputError: the page cannot be read or lacks a part, or see :meth:`results`.
         """
         results = self.results()
-        write_json(self._kept, [each.row() for each in results])
+        # A line a result, so that what is measured anew can be seen beside what was.
+        rows = ",\n".join(canonical_json(each.row()) for each in results)
+        write_text(self._kept, f"[\n{rows}\n]\n")
         write_text(self._page, with_tables(self._text(), self._experiment, results))
 
     def measure(
