@@ -207,6 +207,20 @@ def test_questions_are_about_actions_with_a_name_the_suggestion_first(
     assert screen.choosable(first, workcell.task)[SUGGESTED]
 
 
+def test_joints_stand_at_their_poses_whatever_answers_change(
+    parts: Parts, workcell: Workcell, continuous: IntentReward, agent: ActorCriticSettings, trajectories: list[Array]
+) -> None:
+    """An answer in one episode changes what is suggested in others, whose motions were known already."""
+    together = agent.model_copy(update={"episodes_at_once": 16, "exploring_starts": 0.0})
+    clerk = Clerk(lambda question: question.number % 5 == 4)
+    made = trainer(parts, workcell, untrusted(continuous), together, trajectories, clerk)
+    for _ in range(12):
+        made.collect()
+        stands = workcell.reachability.flange_poses(made.env.episodes.joints)
+        assert pose.position_distance(stands, made.env.episodes.poses).max() < 1e-5
+    assert made.feedback.questions > 10
+
+
 def test_a_better_action_that_there_is_not_is_refused(tmp_path: Path, shelf_task: Any) -> None:
     """The suggestion is no answer where actions are Table 1's."""
     oracle = JournalledOracle(Guide(SUGGESTED), tmp_path / "feedback.jsonl", 0)

@@ -26,6 +26,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.rl.human_reward import Feedback
+from koopdqn.rl.labelling import label_known
 from koopdqn.tasks.workcell import COLLISION, Motion, Workcell
 
 Make = Callable[..., Trainer]
@@ -211,6 +212,43 @@ def replace_reward(trainer: Trainer) -> IntentReward:
     reaches = feedback._reaches(before)
     radii = np.concatenate([feedback._radii(yeses), np.minimum(0.5 * reaches, feedback._settings.reach_m)])
     return feedback._base.extended(np.concatenate([yeses, before]), radii, before, after, reaches)
+
+
+def test_an_answer_that_withdraws_another_is_judged_by_the_model_without_it(
+    make: Make, trajectories: list[Array]
+) -> None:
+    one, two = trajectories[0][60], trajectories[0][66]
+    at_once, apart = make(Clerk()), make(Clerk())
+    for trainer in (at_once, apart):
+        ask(trainer, one, unexpected(trainer.feedback.reward, one))
+    # What the corrected model suggests is not what the fitted one does.
+    evaluation = at_once.feedback.evaluate_actions(two[None], np.array([0]))
+    action = int(evaluation.margin[0].argmax())
+    assert at_once.feedback._base.evaluate_actions(two[None], np.array([0])).margin[0].argmax() != action
+    at_once.feedback._oracle = Scripted(Clerk(), {0: Answer(True, "clerk", undo=1)})
+    apart.feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1), 1: Answer(True, "clerk")})
+    ask(apart, one, action)
+    for trainer in (at_once, apart):
+        assert ask(trainer, two, action)
+        assert trainer.feedback.answers.expected == [False]
+    assert at_once.feedback.answers.margins == apart.feedback.answers.margins
+    assert_same_evaluation(at_once.feedback.reward, apart.feedback.reward, np.concatenate(trajectories)[::7])
+
+
+def test_an_answer_is_stored_where_what_was_certified_has_been_withdrawn(make: Make) -> None:
+    trainer = make(Clerk())
+    env, feedback = trainer.env, trainer.feedback
+    point = env.episodes.poses[0]
+    action = int(feedback.evaluate_actions(point[None], np.array([0])).margin[0].argmax())
+    ask(trainer, point, action)
+    evaluation = env.evaluate_actions()
+    assert evaluation.source[0, action] == CERTIFIED
+    label_known(env, evaluation)
+    feedback._oracle = Scripted(Clerk(), {0: Answer(None, "clerk", undo=1)})
+    ask(trainer, point, action)
+    attempt = env.try_action(0, action, env.evaluate_actions(), None, ask=True)
+    assert attempt.asked
+    assert attempt.new
 
 
 def test_an_undo_removes_exactly_the_transitions_of_the_withdrawn_answers(make: Make) -> None:

@@ -36,7 +36,7 @@ from koopdqn.rl.replay_buffer import Labelled, ReplayBuffer
 from koopdqn.rl.settings import ActorCriticSettings, Agent, AgentSettings, TrainSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
-from koopdqn.tasks.actions import COUNT, FIRST_TWIST, tolerances, twist_size
+from koopdqn.tasks.actions import COUNT, FIRST_TWIST, SUGGESTED, tolerances, twist_size
 from koopdqn.tasks.moved_goals import trained_in
 from koopdqn.tasks.task import Task
 from koopdqn.tasks.workcell import Workcell
@@ -189,10 +189,20 @@ class Trainer:
             while again:
                 if self.feedback.changes > changes:
                     # An answer, or its withdrawal, counts for the next question already.
-                    changes = self.feedback.changes
+                    changes, before = self.feedback.changes, evaluation
                     evaluation = self.env.evaluate_actions(twists=twists)
+                    if self.agent.continuous:
+                        self._suggest_anew(before, evaluation, motions)
+                        values = self.learner.ranking(observe(evaluation.local, self._task), evaluation)
                 # After a no the same pose is asked about until an action is right.
                 again = self._try_one(index, evaluation, values[index], motions)
+
+    def _suggest_anew(self, before: ActionEvaluation, evaluation: ActionEvaluation, motions: Motions) -> None:
+        """Let every episode whose suggestion an answer has changed try the new one, with a motion of its own."""
+        changed = (evaluation.reached[:, SUGGESTED] != before.reached[:, SUGGESTED]).any(axis=1)
+        self.env.episodes.reopen(changed, SUGGESTED)
+        for index in np.flatnonzero(changed):
+            motions.pop((int(index), SUGGESTED), None)
 
     def train(self) -> list[Check]:
         """Make the updates of one round and return the checks made."""

@@ -14,7 +14,7 @@ from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
 from koopdqn.rl.replay_buffer import ReplayBuffer
-from koopdqn.tasks.actions import FIRST_TWIST
+from koopdqn.tasks.actions import FIRST_TWIST, excess
 
 _TOGETHER = 1024
 # Least reach of the correction by an unexpected yes, in steps.
@@ -197,8 +197,8 @@ class Feedback:
             # Without extension and memory an answer changes no other evaluation.
             self.changes += self._settings.extend or self._settings.remember_m > 0
             self._standing.append(number)
+        margins = self._margins(evaluation, row) if answer.undo else evaluation.margin[row]
         for action, right in said:
-            margins = evaluation.margin[row]
             margin = float(margins[action])
             # A person who goes another way within the tolerance does not contradict a model that can go any way.
             best = 0.0 if self.reward.continuous else float(margins.max())
@@ -209,6 +209,13 @@ class Feedback:
                 self._extend()
                 if not expected:
                     self._recompute(here[None])
+
+    def _margins(self, evaluation: ActionEvaluation, row: int) -> Array:
+        """Return the margins (A,) of a row of an evaluation anew: a withdrawn answer no longer corrects the model."""
+        one = slice(row, row + 1)
+        fresh = self.reward.evaluated(evaluation.poses[one], evaluation.steps[one], evaluation.starts[one])
+        margins = 1.0 - excess(evaluation.reached[row], fresh.predicted, self.reward.task)
+        return np.where(np.isfinite(evaluation.margin[row]), margins, -np.inf)
 
     def _extend(self) -> None:
         expected, before, after = self.answers.extension()

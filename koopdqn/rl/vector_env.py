@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koopdqn.intent.reward import ASKED, RULE, ActionEvaluation
+from koopdqn.intent.reward import RULE, ActionEvaluation
 from koopdqn.oracles.base import Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
@@ -188,15 +188,13 @@ class VectorEnv:
         elif ask or not evaluation.known[index, action]:
             if self.put_off.on:
                 return self._put_off(index, action, evaluation, motion.joints)
-            known = evaluation.source[index, action] != ASKED
             attempt = self._open_attempt(index, action)
             if not self.ask(question_about(attempt, self.feedback.reward, evaluation, index), evaluation, index):
                 episodes.tried[index, action] = True
                 return Attempt(None, asked=True)
             asked = True
-            if known:
-                # The model's own reward is stored already; the answer is stored in addition.
-                episodes.stored[index, action] = False
+            # A reward of the model may be stored already, or have been removed since; the answer is stored in addition.
+            episodes.stored[index, action] = False
         reward = float(evaluation.reward[index, action])
         moves = motion.joints is not None and (reward >= 0 or not self.feedback.step_back)
         at_goal = moves and bool(evaluation.at_goal[index, action])
