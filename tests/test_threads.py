@@ -136,7 +136,7 @@ def test_a_replay_takes_the_threads_of_its_run(tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize("stopped_at", ["demos.hdf5", "intent.npz"])
-def test_a_run_stopped_before_its_first_checkpoint_goes_on_with_its_own_threads(
+def test_a_run_stopped_before_its_first_checkpoint_goes_on_with_its_own_threads_and_settings(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, stopped_at: str
 ) -> None:
     console.err.cache_clear()
@@ -150,6 +150,13 @@ def test_a_run_stopped_before_its_first_checkpoint_goes_on_with_its_own_threads(
     capsys.readouterr()
     assert cli.main(["train", f"run={tmp_path}/run", "train.threads=2"]) == 2
     assert "train.threads: must be 1, with which the run in " in capsys.readouterr().err
+    # The demonstrations that lie there were made with the settings of before, and fitted with them.
+    for name, given in {"seed": "9", "demo.count": "7", "reward.prediction": "raw", "task.person.name": "wide"}.items():
+        override = "person=wide" if name.startswith("task") else f"{name}={given}"
+        assert cli.main(["train", f"run={tmp_path}/run", override]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert "can only go on with the config it began with" in said
+        assert name in said
     for damaged in ("[]", "{}", '{"threads": true}'):
         (tmp_path / "run" / "begun.json").write_text(damaged)
         assert cli.main(["train", f"run={tmp_path}/run"]) == 2

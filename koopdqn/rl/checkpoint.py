@@ -68,19 +68,34 @@ def read_checkpoint(
         if "intent" in began:
             # Runs of earlier commits may use old names of keys.
             began["intent"] = described(load_settings(began["intent"], IntentSettings, "intent"))
-        if arm is not None:
-            was: Any = recorded_arm(began["robot"], arm)
-            began["robot"] = began["robot"] if was is None else described(was)
-        ways = [_differences("", began, json.loads(canonical_json(each))) for each in (shaped_by, earlier) if each]
-        other = ways[0] if all(ways) else []
         float(artifact.about["seconds"])
-    if other:
-        shown = "; ".join(other[:_SHOWN]) + (f"; and {len(other) - _SHOWN} more" if len(other) > _SHOWN else "")
-        raise BadInputError(
-            f"run {folder}: can only go on with the config it began with (train.stop, train.extend and the limits may"
-            f" change), found {shown}"
-        )
+        differing = [_differing(began, each, arm) for each in (shaped_by, earlier) if each]
+    if all(differing):
+        raise _goes_on_otherwise(folder, differing[0])
     return artifact
+
+
+def check_begun(folder: Path, began: dict[str, Any], now: dict[str, Any], arm: Arm) -> None:
+    """Raise BadInputError if the run of a folder ``began`` with another config of some parts than it has ``now``."""
+    with reading(f"run {folder}: what it was begun with"):
+        differing = _differing(began, now, arm)
+    if differing:
+        raise _goes_on_otherwise(folder, differing)
+
+
+def _differing(began: dict[str, Any], now: dict[str, Any], arm: Arm | None) -> list[str]:
+    was: Any = None if arm is None else recorded_arm(began["robot"], arm)
+    if was is not None:
+        began = {**began, "robot": described(was)}
+    return _differences("", began, json.loads(canonical_json(now)))
+
+
+def _goes_on_otherwise(folder: Path, differing: list[str]) -> BadInputError:
+    shown = "; ".join(differing[:_SHOWN]) + (f"; and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else "")
+    return BadInputError(
+        f"run {folder}: can only go on with the config it began with (train.stop, train.extend and the limits may"
+        f" change), found {shown}"
+    )
 
 
 def questions_asked(checkpoint: Artifact | None) -> int:
@@ -134,7 +149,9 @@ class EventLog:
         # Its import would delay the first training step.
         from torch.utils.tensorboard import SummaryWriter
 
-        return SummaryWriter(str(self._folder / "events"), purge_step=self._resumed_at or None)
+        return SummaryWriter(
+            str(self._folder / "events"), purge_step=self._resumed_at + 1 if self._resumed_at else None
+        )
 
     def check(self, check: Check) -> None:
         """Write a check and the episodes finished since the last."""

@@ -9,7 +9,7 @@ from koopdqn import console
 from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.application import CommandResult, how_to_go_on, in_sweep, record_continued
-from koopdqn.artifact import reading
+from koopdqn.artifact import described, reading
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json, write_json
 from koopdqn.intent.fit import agent_steps
@@ -18,7 +18,7 @@ from koopdqn.oracles.base import Oracle
 from koopdqn.oracles.replay import JournalledOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.checkpoint import EventLog, questions_asked, read_checkpoint, save_checkpoint
+from koopdqn.rl.checkpoint import EventLog, check_begun, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.checks import Check
 from koopdqn.rl.human_reward import Budget, answering
 from koopdqn.rl.network import size
@@ -26,10 +26,13 @@ from koopdqn.rl.policy import write_policy
 from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
-from koopdqn.run_folder import BEGUN, CHECKPOINT, JOURNAL, POLICY, TRAINING, TRAINING_PICTURE
+from koopdqn.run_folder import BEGUN, CHECKPOINT, DEMONSTRATIONS, JOURNAL, POLICY, TRAINING, TRAINING_PICTURE
 from koopdqn.settings import shown
 from koopdqn.tasks.workcell import Workcell
 from koopdqn.view.dashboard import Dashboard, fits
+
+# The parts of a config that decide what a training makes before its first checkpoint.
+_MADE_WITH = ("seed", "task", "robot", "reward")
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:
@@ -45,14 +48,12 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     began = monotonic()
     config.oracle.check()
     _check_threads(config)
-    _check_begun(config, folder)
     pipeline.check_intent_file(config)
     check_memory(config.agent, size(config.task))
     check_device(config.agent)
     workcell = pipeline.open_scene(config)
+    _begin(config, folder)
     demonstrations = pipeline.demonstrations_for(config, workcell, folder)
-    if not (folder / BEGUN).exists():
-        write_json(folder / BEGUN, {"threads": config.train.threads})
     intent = pipeline.intent_for(config, demonstrations, folder)
     made_from = {"demonstrations": demonstrations.digest(), "intent": intent.digest()}
     # Earlier versions wrote down the config's own intent and trust, whatever intent=FILE held.
@@ -126,20 +127,27 @@ def _check_threads(config: Configuration) -> None:
         )
 
 
-def _check_begun(config: Configuration, folder: Path) -> None:
-    """Raise if the folder's run was begun with another number of threads.
+def _begin(config: Configuration, folder: Path) -> None:
+    """Write down with what a run begins; raise if something was made in the folder with another config.
 
-    A checkpoint says it too, but intent and answers may stand in the folder before the first one.
+    A checkpoint says it too, but demonstrations, intent and answers may stand in the folder before the first one.
     """
     path = folder / BEGUN
-    if not path.exists():
-        return
-    recorded = _threads_in(path, "what the run was begun with")
-    if isinstance(recorded, bool) or recorded != config.train.threads:
-        raise BadInputError(
-            f"train.threads: must be {shown(recorded)}, with which the run in {folder} was begun, found"
-            f" {config.train.threads}: sums in another order end in other bits"
-        )
+    made_with = {name: each for name, each in config.shaped_by().items() if name in _MADE_WITH}
+    if not config.inputs.demos and config.derived is None:
+        made_with["demo"] = described(config.demo)
+    if path.exists():
+        recorded = _threads_in(path, "what the run was begun with")
+        if isinstance(recorded, bool) or recorded != config.train.threads:
+            raise BadInputError(
+                f"train.threads: must be {shown(recorded)}, with which the run in {folder} was begun, found"
+                f" {config.train.threads}: sums in another order end in other bits"
+            )
+        if (folder / DEMONSTRATIONS).exists():
+            # Earlier versions wrote down the threads alone.
+            check_begun(folder, read_json(path, "the beginning").get("made_with", made_with), made_with, config.robot)
+            return
+    write_json(path, {"threads": config.train.threads, "made_with": made_with})
 
 
 def _threads_in(path: Path, what: str) -> Any:
