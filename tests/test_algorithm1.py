@@ -234,6 +234,15 @@ def test_training_on_goes_to_a_multiple_of_what_it_took_to_learn(make: Make, ext
     assert trainer.progress.learned_at == trainer.history.checks[0].env_steps
 
 
+def test_training_on_without_a_multiple_goes_to_its_limit(make: Make) -> None:
+    trainer = make(
+        train={"check_success": 0.0, "stop": "limit", "extend": None, "max_steps": 400, "checks_to_learn": 1}
+    )
+    trainer.run()
+    assert trainer.learned
+    assert trainer.progress.learned_at < 400 <= trainer.env_steps
+
+
 def test_limits_of_steps_and_episodes_bound_an_unlearned_run(make: Make) -> None:
     by_steps = make(train={"max_steps": 150, "stop": "learned", **UNCHECKED})
     by_steps.run()

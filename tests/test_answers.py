@@ -167,6 +167,13 @@ def test_what_is_remembered_is_a_fact_of_its_own_time(right: bool) -> None:
     assert memory.recall(HERE[None], np.full((1, ACTIONS), 0.2))[0, 4] == 0
 
 
+def test_without_memory_nothing_contradicts() -> None:
+    memory = RememberedAnswers(SETTINGS.model_copy(update={"remember_m": 0.0}))
+    memory.add(0, HERE, 4, beside(1.0), right=False, margin=0.5, expected=True)
+    assert memory.contradict(HERE)
+    assert memory.contradictions == 0
+
+
 def test_a_place_is_hopeless_only_where_a_person_said_no_and_until_an_answer_is_withdrawn() -> None:
     memory = RememberedAnswers(SETTINGS)
     memory.contradict(HERE)

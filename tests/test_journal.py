@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ from questions import question
 
 from koopdqn.errors import BadInputError
 from koopdqn.oracles.base import Answer, Oracle, Question
-from koopdqn.oracles.journal import read_lines
+from koopdqn.oracles.journal import read_lines, read_records
 from koopdqn.oracles.replay import JournalledOracle
 
 
@@ -58,6 +60,41 @@ def test_it_is_forced_to_disk_and_not_only_handed_to_the_system(
     oracle.answer(question(0))
     assert lengths == [path.stat().st_size]
     assert lengths[0] > 0
+
+
+def test_a_withdrawal_and_its_answer_are_written_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "feedback.jsonl"
+    oracle = JournalledOracle(Clerk(lambda asked: asked.number < 2), path, 0)
+    for number in range(2):
+        oracle.answer(question(number))
+    before, synced = path.read_bytes(), os.fsync
+    oracle._oracle.answer = lambda question: Answer(True, "clerk", undo=2)  # type: ignore[method-assign]
+
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "no space left")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="no space"):
+        oracle.answer(question(2))
+    assert path.read_bytes() == before
+    monkeypatch.setattr("os.fsync", synced)
+    oracle.close()
+    rest = JournalledOracle(Clerk(), path, 2)
+    rest._oracle.answer = lambda question: Answer(True, "clerk", undo=1)  # type: ignore[method-assign]
+    rest.answer(question(2))
+    assert [record.withdrawn for record in read_records(path).items] == [False, True, False]
+
+
+def test_a_journal_may_be_larger_than_other_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "feedback.jsonl"
+    filled(path, 3)
+    monkeypatch.setattr("koopdqn.files.LARGEST_JSON", path.stat().st_size - 1)
+    assert len(read_records(path).items) == 3
+    monkeypatch.setattr("koopdqn.oracles.journal.LARGEST_JOURNAL", path.stat().st_size - 1)
+    with pytest.raises(BadInputError, match="at most"):
+        read_records(path)
 
 
 def test_a_line_says_everything(tmp_path: Path) -> None:

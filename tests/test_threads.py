@@ -151,8 +151,8 @@ def test_a_run_stopped_before_its_first_checkpoint_goes_on_with_its_own_threads_
     assert cli.main(["train", f"run={tmp_path}/run", "train.threads=2"]) == 2
     assert "train.threads: must be 1, with which the run in " in capsys.readouterr().err
     # The demonstrations that lie there were made with the settings of before, and fitted with them.
-    for name, given in {"seed": "9", "demo.count": "7", "reward.prediction": "raw", "task.person.name": "wide"}.items():
-        override = "person=wide" if name.startswith("task") else f"{name}={given}"
+    for name, value in {"seed": "9", "demo.count": "7", "reward.prediction": "raw", "task.person.name": "wide"}.items():
+        override = "person=wide" if name.startswith("task") else f"{name}={value}"
         assert cli.main(["train", f"run={tmp_path}/run", override]) == 2
         said = " ".join(capsys.readouterr().err.split())
         assert "can only go on with the config it began with" in said

@@ -112,7 +112,7 @@ def edit(journal: Path, number: int, answer: str, teacher: str | None, *, drop_l
         learned = _learned_answers(path.parent) if path.name == JOURNAL else 0
         _check_allowed(path.parent, answer)
         item = repair.edit(path, number, answer, teacher, learned, drop_later=drop_later)
-    dropped = "; later answers no longer count" if drop_later else ""
+    dropped = "; later answers no longer count (with oracle=file name new files)" if drop_later else ""
     console.say(f"answer {number} is now {_verdict(item)}, by {item.line.source}{dropped}")
     if number < learned:
         console.warn(

@@ -5,7 +5,7 @@ import json
 import os
 import stat
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from koopdqn.tasks.workcell import Workcell
 
 _POLL_SECONDS = 0.01
+# So many answers that may be withdrawn are told with a question: all would make the file grow with their square.
+_TOLD = 100
 
 
 class FileAnswer(ReportModel):
@@ -135,19 +137,22 @@ class FileOracle(Oracle):
 
 def question_object(question: Question) -> dict[str, Any]:
     """Return a question as the JSON object that other programs read."""
-    fields = {"kind": "question", **asdict(question)}
+    fields = {"kind": "question", **asdict(replace(question, earlier=question.earlier[-_TOLD:]))}
     return {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in fields.items()}
 
 
 def _asked_before(questions: Path) -> dict[int, tuple[Any, ...]]:
     """Return what the questions in a file are about, by their numbers, the last one last; none of a pipe."""
     asked: dict[int, tuple[Any, ...]] = {}
-    for line in questions.read_bytes().splitlines() if questions.is_file() else []:
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            told = json.loads(line)
-            number = int(told["number"])
-            asked.pop(number, None)
-            asked[number] = _about(told)
+    if not questions.is_file():
+        return asked
+    with questions.open("rb") as file:
+        for line in file:
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                told = json.loads(line)
+                number = int(told["number"])
+                asked.pop(number, None)
+                asked[number] = _about(told)
     return asked
 
 

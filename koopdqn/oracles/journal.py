@@ -11,11 +11,14 @@ from typing import IO, Annotated, Any, Final, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from koopdqn.errors import BadInputError
-from koopdqn.files import LARGEST_JSON, parse_json
+from koopdqn.files import parse_json
 from koopdqn.oracles.base import Answer, Earlier
 from koopdqn.run_folder import open_own
 from koopdqn.settings import Name, NonNegative, NonNegativeInt, PoseList, ReportModel, flaw
 from koopdqn.tasks.actions import NAMES
+
+LARGEST_JOURNAL: Final = 2**30
+"""The most bytes that a journal may hold: some million answers, more than the paper's own settings ask."""
 
 Action = Annotated[int, Field(ge=0, lt=len(NAMES))]
 
@@ -149,10 +152,13 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
         BadInputError: the file cannot be read, is too large, or a line before the last is no JSON object.
     """
     try:
-        if path.stat().st_size > LARGEST_JSON:
-            raise BadInputError(f"journal {path}: must hold at most {LARGEST_JSON} bytes, found {path.stat().st_size}")
-        # What follows the last line's end was torn off, even where it reads as JSON.
-        *lines, _ = path.read_bytes().split(b"\n")
+        if path.stat().st_size > LARGEST_JOURNAL:
+            raise BadInputError(
+                f"journal {path}: must hold at most {LARGEST_JOURNAL} bytes, found {path.stat().st_size}"
+            )
+        with path.open("rb") as file:
+            # What follows the last line's end was torn off, even where it reads as JSON.
+            lines = [line.rstrip(b"\n") for line in file if line.endswith(b"\n")]
     except OSError as error:
         raise BadInputError(f"journal {path}: must be a readable file, the system says: {error.strerror}") from error
     found = []
@@ -301,17 +307,22 @@ class JournalFile:
             BadInputError: the journal cannot be written, or is a link.
         """
         try:
-            self._file = os.fdopen(open_own(path, os.O_RDWR | os.O_APPEND), "a+b")
+            self._file = os.fdopen(open_own(path, os.O_RDWR | os.O_APPEND), "a+b", buffering=0)
             _cut_torn_line(self._file)
         except OSError as error:
             raise BadInputError(f"journal {path} must be writable, the system says: {error.strerror}") from error
 
-    def append(self, line: ReportModel) -> None:
-        """Append a line; it is on disk when this returns."""
-        text = json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n"
-        self._file.write(text.encode())
-        self._file.flush()
-        os.fsync(self._file.fileno())
+    def append(self, *lines: ReportModel) -> None:
+        """Append lines, all or, where the disk is full, none; they are on disk when this returns."""
+        texts = (json.dumps(line.model_dump(mode="json"), sort_keys=True, allow_nan=False) + "\n" for line in lines)
+        end, left = self._file.seek(0, os.SEEK_END), "".join(texts).encode()
+        try:
+            while left:
+                left = left[self._file.write(left) :]
+            os.fsync(self._file.fileno())
+        except OSError:
+            self._file.truncate(end)
+            raise
 
     def close(self) -> None:
         """Close the file."""

@@ -122,13 +122,14 @@ class JournalledOracle(Oracle):
                 _check_said(answer, len(self._earlier), question)
             except BadInputError as error:
                 raise BadInputError(f"the answer to question {question.number}: {error}") from error
-            for _ in range(answer.undo):
-                self._file.append(_undo_line(self._earlier.pop(), question))
+            undone = [_undo_line(self._earlier.pop(), question) for _ in range(answer.undo)]
             self._pending += answer.undo
             if not answer.again:
                 break
+            self._file.append(*undone)
         line = answer_line(question.number, question, answer)
-        self._file.append(line)
+        # Together: what answers through files gives them both again after a stop.
+        self._file.append(*undone, line)
         record = Record(line, self._pending)
         self._pending = 0
         if line.right is not None:
@@ -164,8 +165,8 @@ def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
         raise BadInputError(
             f"journal {path}: answer {line.number} must be to the question the run asks (episode {question.episode},"
             f" step {question.step}, action {question.action}), found episode {line.episode}, step {line.step}, action"
-            f" {line.action}{' at another pose' if same else ''}; config, seed and every earlier answer must be those"
-            " of the journal (after an edit: koopdqn feedback edit --drop-later asks later ones anew)"
+            f" {line.action}{' at another pose' if same else ''}; config, seed, oracle.ask and every earlier answer"
+            " must be those of the journal (after an edit: koopdqn feedback edit --drop-later asks later ones anew)"
         )
     answer = record.answer
     try:

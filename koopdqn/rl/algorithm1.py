@@ -280,7 +280,9 @@ class Trainer:
             return True
         if not self.learned:
             return False
-        return self.settings.stop == "learned" or self.env_steps >= self.settings.extend * self.progress.learned_at
+        if self.settings.stop == "learned":
+            return True
+        return self.settings.extend is not None and self.env_steps >= self.settings.extend * self.progress.learned_at
 
     def state(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return everything needed to resume a run: arrays and JSON values."""

@@ -116,7 +116,8 @@ class RememberedAnswers:
             return False
         noes = (pose.position_distance(self._known, point) <= self.settings.remember_m) & ~np.array(self.right)
         if noes.any():
-            self.contradictions += 1
+            # Where nothing is remembered, answers cannot contradict each other.
+            self.contradictions += self.settings.remember_m > 0
             self.hopeless.append(tuple(point.tolist()))
             self._keep((~noes).tolist())
         return bool(noes.any())

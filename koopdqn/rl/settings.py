@@ -129,7 +129,10 @@ class TrainSettings(Settings):
     """
 
     stop: Literal["learned", "limit"] = Field(description="stop when learned, or only at a limit")
-    extend: float = Field(ge=1, description="with stop=limit: go on to this multiple of the actions it took to learn")
+    extend: float | None = Field(
+        ge=1,
+        description="with stop=limit: go on to this multiple of the actions it took to learn; null for no such limit",
+    )
     max_steps: Count = Field(description="actions tried after which training ends, with the round of all episodes")
     max_episodes: Count = Field(description="episodes finished after which it ends, with that round")
     check_every: Count = Field(description="updates between two checks")

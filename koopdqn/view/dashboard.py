@@ -195,7 +195,8 @@ class Dashboard:
         end = settings.max_steps
         if trainer.learned:
             # What stops at once when it has learned is shown no more.
-            end = min(end, int(settings.extend * trainer.progress.learned_at))
+            if settings.extend is not None:
+                end = min(end, int(settings.extend * trainer.progress.learned_at))
             return _clock(max(end - trainer.env_steps, 0) * seconds / done)
         most = _clock((end - trainer.env_steps) * seconds / done)
         made = trainer.learner.updates - updates

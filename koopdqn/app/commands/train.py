@@ -197,10 +197,8 @@ def _learn(
 
         try:
             trainer.run(on_check, on_round)
-        except BaseException:
+        finally:
             record_once_taken()
-            raise
-        record_continued()
 
 
 def _progress(trainer: Trainer, check: Check | None) -> str:
@@ -277,7 +275,7 @@ def _spent(trainer: Trainer, folder: Path) -> list[str]:
 def _cut_short(trainer: Trainer) -> list[str]:
     """Return a remark if training went on past "learned" but less far than ``train.extend`` asks."""
     settings = trainer.settings
-    if settings.stop == "learned" or not trainer.learned:
+    if settings.stop == "learned" or settings.extend is None or not trainer.learned:
         return []
     reached = trainer.env_steps / trainer.progress.learned_at
     if reached >= settings.extend or trainer.feedback.stopped:
