@@ -3,14 +3,14 @@
 import json
 import os
 import resource
-import select
 import signal
-import struct
 import tempfile
 import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -28,7 +28,6 @@ MOST_BYTES: Final = 2**28
 _OWN_BYTES: Final = 2**30
 # The largest file that a library may unpack.
 _UNPACKED_BYTES: Final = 2**32
-_HEAD: Final = struct.Struct("<Q")
 _LONGEST_ABOUT: Final = 2**24
 
 Content = tuple[Any, list[np.ndarray]]
@@ -47,16 +46,16 @@ def confined(read: Callable[[], Content], seconds: float = SECONDS) -> Content:
     """
     # What a library unpacks goes with the folder, even if the process is killed.
     with TemporaryDirectory(prefix="koopdqn-") as folder:
-        ours, theirs = os.pipe()
+        ours, theirs = Pipe(duplex=False)
         with warnings.catch_warnings():
             # The child only reads a file and ends at once, which is safe beside threads.
             warnings.simplefilter("ignore", DeprecationWarning)
             child = os.fork()
         if child == 0:
-            os.close(ours)
+            ours.close()
             tempfile.tempdir = folder
             _serve(read, theirs, seconds)
-        os.close(theirs)
+        theirs.close()
         try:
             return _received(ours, 2.0 * seconds)
         except BaseException:
@@ -64,11 +63,11 @@ def confined(read: Callable[[], Content], seconds: float = SECONDS) -> Content:
                 os.kill(child, signal.SIGKILL)
             raise
         finally:
-            os.close(ours)
+            ours.close()
             os.waitpid(child, 0)
 
 
-def _serve(read: Callable[[], Content], pipe: int, seconds: float) -> None:
+def _serve(read: Callable[[], Content], pipe: Connection, seconds: float) -> None:
     """Read, write what came of it to a pipe, and end this process without running anything of the parent's."""
     try:
         # What the library prints of a damaged file says nothing to anyone.
@@ -95,11 +94,9 @@ def _serve(read: Callable[[], Content], pipe: int, seconds: float) -> None:
         # a library may raise anything for a damaged file
         except Exception as error:
             head = {"failed": " ".join(str(error).split()) or type(error).__name__}
-        text = json.dumps(head).encode()
-        with os.fdopen(pipe, "wb") as file:
-            file.write(_HEAD.pack(len(text)) + text)
-            for values in arrays if "about" in head else []:
-                file.write(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        pipe.send_bytes(json.dumps(head).encode())
+        for values in arrays if "about" in head else []:
+            pipe.send_bytes(np.ascontiguousarray(values, dtype="<f8").tobytes())
     finally:
         os._exit(0)
 
@@ -109,35 +106,24 @@ def _virtual_bytes() -> int:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def _received(pipe: int, seconds: float) -> Content:
+def _received(pipe: Connection, seconds: float) -> Content:
     until = time.monotonic() + seconds
-    (length,) = _HEAD.unpack(_exactly(pipe, _HEAD.size, until, seconds))
-    if length > _LONGEST_ABOUT:
-        raise BadInputError(f"it must not say more than {_LONGEST_ABOUT} bytes about itself, found {length}")
-    head = json.loads(_exactly(pipe, length, until, seconds))
-    if "about" not in head:
-        raise BadInputError(head["refused"] if "refused" in head else f"reading it failed: {head['failed'][:300]}")
-    shapes = [tuple(shape) for shape in head["shapes"]]
-    sizes = [8 * int(np.prod(shape, dtype=np.int64)) for shape in shapes]
-    arrays = [
-        np.frombuffer(_exactly(pipe, size, until, seconds), dtype="<f8").reshape(shape)
-        for shape, size in zip(shapes, sizes, strict=True)
-    ]
-    return head["about"], arrays
 
-
-def _exactly(pipe: int, count: int, until: float, seconds: float) -> bytearray:
-    found = bytearray()
-    while len(found) < count:
-        left = until - time.monotonic()
-        if left <= 0 or not select.select([pipe], [], [], left)[0]:
+    def message(most: int) -> bytes:
+        if not pipe.poll(max(until - time.monotonic(), 0.0)):
             raise BadInputError(
                 f"reading it must take at most {seconds:.3g} s, found that it takes longer: it is damaged"
             )
-        part = os.read(pipe, min(count - len(found), 2**20))
-        if not part:
-            raise BadInputError(
-                "reading it failed: the library gave up on it or took too long, so that it is damaged or too large"
-            )
-        found += part
-    return found
+        return pipe.recv_bytes(most)
+
+    try:
+        head = json.loads(message(_LONGEST_ABOUT))
+        if "about" not in head:
+            raise BadInputError(head["refused"] if "refused" in head else f"reading it failed: {head['failed'][:300]}")
+        arrays = [np.frombuffer(message(MOST_BYTES), dtype="<f8").reshape(shape).copy() for shape in head["shapes"]]
+    # The pipe has ended, or a message is longer than it may be.
+    except (EOFError, OSError) as error:
+        raise BadInputError(
+            "reading it failed: the library gave up on it or took too long, so that it is damaged or too large"
+        ) from error
+    return head["about"], arrays

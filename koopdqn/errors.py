@@ -21,8 +21,6 @@ class BadInputError(KoopdqnError):
 class WorkFailedError(KoopdqnError):
     """The input was good but the work itself failed: not learned, not reachable (exit status 1)."""
 
-    exit_status = 1
-
 
 def unknown_name(kind: str, name: object, valid: Iterable[str]) -> BadInputError:
     """Return the error for a ``name`` that is not among the ``valid`` names of a ``kind`` of thing."""

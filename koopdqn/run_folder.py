@@ -35,7 +35,7 @@ TRAINING_PICTURE: Final = "train.png"
 EVALUATION: Final = "eval.json"
 
 _MOST_ENTRIES: Final = 100_000
-_held: dict[Path, int] = {}
+_held: set[Path] = set()
 
 
 def newest_trained_run() -> Path:
@@ -77,27 +77,27 @@ def check_plain(folder: Path) -> None:
 def locked(folder: Path) -> Iterator[None]:
     """Keep other processes from working in a folder during the block; within one process blocks may nest.
 
+    The lock ends with the process, in whatever way that ends.
+
     Raises:
         BadInputError: another process works in it, or no file can be made there.
     """
-    own = hold(folder)
+    key = folder.resolve()
+    if key in _held:
+        yield
+        return
+    file = _locked_file(folder, key / LOCK)
+    _held.add(key)
     try:
         yield
     finally:
-        if own:
-            release(folder)
+        _held.remove(key)
+        with suppress(OSError):
+            (key / LOCK).unlink()
+        os.close(file)
 
 
-def hold(folder: Path) -> bool:
-    """Lock a folder until :func:`release`, or until this process ends in whatever way; False if it is locked already.
-
-    Raises:
-        BadInputError: another process has locked it, or no file can be made there.
-    """
-    key = folder.resolve()
-    if key in _held:
-        return False
-    path = key / LOCK
+def _locked_file(folder: Path, path: Path) -> int:
     while True:
         try:
             file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
@@ -120,19 +120,7 @@ def hold(folder: Path) -> bool:
         os.close(file)
     os.ftruncate(file, 0)
     os.write(file, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
-    _held[key] = file
-    return True
-
-
-def release(folder: Path) -> None:
-    """Unlock a folder that :func:`hold` has locked."""
-    key = folder.resolve()
-    file = _held.pop(key, None)
-    if file is None:
-        return
-    with suppress(OSError):
-        (key / LOCK).unlink()
-    os.close(file)
+    return file
 
 
 def open_own(path: Path, flags: int) -> int:

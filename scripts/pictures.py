@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -239,7 +240,7 @@ def arms(runs: Runs) -> None:
         scene, [shown] = koopdqn.open_workcell(config).scene, koopdqn.generate(config).items
         assert shown.joints is not None, "a demonstration that was generated"
         view = view or choose_view(scene, shown.joints, ARM_SIZE)
-        with Camera(scene, ARM_SIZE) as camera:
+        with closing(Camera(scene, ARM_SIZE)) as camera:
             line = Line(shown.poses[:, POSITION], rgba(DEMONSTRATED))
             drawn[name] = camera.picture(shown.joints[-1], view, [line], ghosts=[Ghost(shown.joints[0])])
     with picture(runs.folder / "arms.png", "The shelf task on the arms of the UR family", 1560, 760) as figure:

@@ -11,11 +11,6 @@ def by_name(checks: list[Check]) -> dict[str, Check]:
     return {check.name: check for check in checks}
 
 
-def test_an_old_python_fails() -> None:
-    assert doctor.check_python((3, 11, 2)).status == "ok"
-    assert doctor.check_python((3, 10, 9)).status == "fail"
-
-
 @pytest.mark.parametrize(("version", "status"), [("3.17.0", "ok"), ("4.0.0", "fail"), ("10.1", "fail"), (None, "fail")])
 def test_mujoco_must_be_a_release_that_dm_control_works_with(version: str | None, status: str) -> None:
     checks = by_name(doctor.check_packages(lambda name: version if name == "mujoco" else "1.0"))
@@ -47,7 +42,6 @@ def test_the_backend_used_is_the_one_asked_for_or_the_first_that_works(
 def test_whatever_does_not_work_says_how_to_mend_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     checks = [
-        doctor.check_python((3, 9, 0)),
         *doctor.check_packages(lambda name: None),
         *doctor.check_rendering(lambda code, **variables: (False, "no")),
         doctor.check_video(None, None),

@@ -4,7 +4,7 @@ from hydra import compose, initialize_config_dir
 from parts import Parts, load_parts
 
 from koopdqn import pose
-from koopdqn.intent.correction import corrected, restored
+from koopdqn.intent.correction import CorrectedIntent
 from koopdqn.intent.fit import Fitted
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.separate import SeparateIntent
@@ -167,14 +167,12 @@ def test_what_is_intended_from_elsewhere_is_what_is_predicted_from_the_nominal_s
     here = frame.from_frame(mean[10:210:10], starts, mean[10:210:10])
     for each in (
         model,
-        restored(model.arrays(), settings),
-        corrected(model, mean[:1], mean[1:2], np.array([0.03])),
+        settings.restore(model.arrays()),
+        CorrectedIntent(model, mean[:1], mean[1:2], np.array([0.03])),
     ):
         found = each.intended(here, starts)
         np.testing.assert_allclose(frame.to_frame(found, starts), each.predict(frame.to_frame(here, starts)), atol=1e-9)
-    np.testing.assert_array_equal(
-        restored(model.arrays(), settings).intended(here, starts), model.intended(here, starts)
-    )
+    np.testing.assert_array_equal(settings.restore(model.arrays()).intended(here, starts), model.intended(here, starts))
     assert pose.position_distance(model.intended(here, starts), model.predict(here)).max() > 1e-3
 
 

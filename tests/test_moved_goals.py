@@ -23,7 +23,7 @@ from koopdqn.intent.fit import agent_steps, fit
 from koopdqn.intent.reward import IntentReward
 from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
-from koopdqn.tasks.moved_goals import FlangeAlone
+from koopdqn.tasks.moved_goals import FlangeAlone, draw_starts
 from koopdqn.tasks.rollout import SUCCESS, Episode
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.workcell import Workcell, open_workcell
@@ -97,6 +97,37 @@ def test_goals_are_drawn_from_their_region_and_starts_from_theirs() -> None:
     assert not own.moved.any()
     # In the world the starts are those of a goal that stays.
     assert np.allclose(drawn.starts[:, :3] + drawn.moved, own.starts[:, :3])
+
+
+def test_a_goal_that_the_arm_cannot_take_is_refused() -> None:
+    far = np.array([0.0, 0.0, 2.0])
+    with pytest.raises(BadInputError, match=r"goal: must be one that the arm can take, found .*reach"):
+        draw_starts(_cell(), _cell().task, np.random.default_rng(0), 3, far)
+
+
+def test_starts_that_lie_at_their_goal_are_drawn_again_and_not_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell, task = _cell(), _cell().task
+    still = task.with_still_goal()
+    here = draw_starts(cell, task, np.random.default_rng(0), 1)
+    start = here.starts[0, :3] + here.moved[0]
+    drawn = draw_starts(cell, task, np.random.default_rng(0), 5, start - task.goal[:3])
+    assert drawn.redrawn > 0
+    assert (np.linalg.norm(drawn.starts[:, :3] - still.goal[:3], axis=1) > 0.01).all()
+    # A start region of one place, and that is the goal's.
+    monkeypatch.setattr(type(task), "draw_starts", lambda self, rng, count: np.tile(task.goal, (count, 1)))
+    with pytest.raises(
+        BadInputError, match="goals must lie where the arm can take them, clear of the start, found none"
+    ):
+        draw_starts(
+            cell, task.model_copy(update={"goal_half_range_m": (1e-3, 1e-3, 1e-3)}), np.random.default_rng(0), 1
+        )
+
+
+def test_pictures_show_the_arm_where_the_flange_is() -> None:
+    batch = Batch(EnvironmentParts(_cell(), _reward(), Clerk(), 800), 4, np.random.default_rng(0))
+    reached = ~np.isclose(batch.joints, batch._env.episodes.joints).all(axis=1)
+    assert reached.any()
+    np.testing.assert_allclose(_cell().arm.forward(batch.joints)[reached], batch.poses[reached], atol=1e-6)
 
 
 def test_training_starts_are_as_far_from_the_goal_as_any_goal_may_be_from_its_place() -> None:

@@ -22,7 +22,9 @@ from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.intent.detour import around_obstacles, detour
 from koopdqn.intent.reward import IntentReward
 from koopdqn.oracles.base import Question
+from koopdqn.rl.checks import History
 from koopdqn.rl.human_reward import Budget, Feedback
+from koopdqn.rl.policy import Policy, PolicyAround
 from koopdqn.settings import load_settings
 from koopdqn.tasks.obstacles import Obstacle, hull_of_file, read_obstacles
 from koopdqn.tasks.rollout import SUCCESS, Episode, roll_out
@@ -56,12 +58,19 @@ def _greedy(cell: Workcell, reward: IntentReward, *, unbent: bool = False) -> Ep
 
 
 @pytest.mark.parametrize("asked", ["in an environment", "once the budget is spent"])
-def test_the_scripted_person_would_go_around_obstacles(asked: str) -> None:
+def test_the_scripted_person_would_go_around_obstacles(asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if asked == "in an environment":
         lamp = "{name: lamp, shape: sphere, center_m: [0.577, -0.085, 0.59], radius_m: 0.03}"
         config = api.load_config("task=shelf", "demo.count=3", f"++task.obstacles=[{lamp}]")
         shown = api.generate(config)
-        parts = api.environment_parts(config, shown, api.fit(config, shown))
+        fitted = api.fit(config, shown)
+        parts = api.environment_parts(config, shown, fitted)
+        # And a policy that was trained without obstacles is measured as it is led around them.
+        measured: list[Any] = []
+        monkeypatch.setattr(api, "evaluate_policy", lambda cell, policy, *rest, **named: measured.append(policy))
+        policy = Policy(None, PARTS.task)  # type: ignore[arg-type]  # never asked
+        api.evaluate(config, shown, fitted, api.Trained(policy, True, 0, 800, History()))
+        assert isinstance(measured[0], PolicyAround)
         reward, feedback = parts.reward, Feedback(parts.reward, parts.oracle, PARTS.feedback)
     else:
         _, reward = _among()
@@ -152,6 +161,16 @@ def test_an_stl_file_in_text_is_read_as_any_other(tmp_path: Path) -> None:
         hull_of_file(tmp_path / "flat.stl")
 
 
+def test_a_binary_stl_file_may_begin_as_one_in_text(tmp_path: Path) -> None:
+    corners = np.array([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)], dtype="<f4")
+    sides = [corners[list(face)] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))]
+    faces = [b"\0" * 12 + side.tobytes() + b"\0\0" for side in sides]
+    head = b"solid facetiae".ljust(80, b" ") + len(faces).to_bytes(4, "little")
+    (tmp_path / "wedge.stl").write_bytes(head + b"".join(faces))
+    found = np.array(sorted(map(tuple, hull_of_file(tmp_path / "wedge.stl"))))
+    np.testing.assert_allclose(found, np.array(sorted(map(tuple, corners.tolist()))), atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -195,6 +214,20 @@ def test_a_file_of_obstacles_becomes_part_of_the_task(tmp_path: Path) -> None:
     assert not any(str(tmp_path) in each for each in overrides)
     with pytest.raises(BadInputError, match="found no file"):
         prepare("train", ["obstacles=nowhere.yaml"])
+
+
+def test_obstacles_on_the_command_line_leave_no_file_to_a_runs_record(tmp_path: Path) -> None:
+    corners = "\n".join(f"v {x} {y} {z}" for x, y, z in CUBE)
+    (tmp_path / "cube.obj").write_text(f"{corners}\nf 1 2 4\nf 5 7 8\nf 1 5 6\nf 3 4 8\nf 1 3 7\nf 2 6 8\n")
+    node = f"name:'true',shape:mesh,center_m:[1,1,1],file:{tmp_path}/cube.obj"
+    given = prepare("train", [f"++task.obstacles=[{{{node}}}]", "out=unused"]).overrides
+    override = next(each for each in given if "obstacles" in each)
+    assert str(tmp_path) not in override
+    (found,) = load_settings(composed([override, "command=train", "out=unused"]).task, Task, "task").obstacles
+    assert found.name == "true"
+    assert len(found.vertices_m or ()) == 8
+    plain = "task.obstacles=[{name:a,shape:sphere,center_m:[1,1,1],radius_m:0.1}]"
+    assert plain in prepare("train", [plain, "out=unused"]).overrides
 
 
 def test_a_task_without_obstacles_is_described_as_before_there_were_any() -> None:

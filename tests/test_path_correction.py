@@ -12,7 +12,7 @@ from koopdqn.app import cli
 from koopdqn.app.api import load_config
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, in_base, in_frame, played
+from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, check_clear, in_base, in_frame, played
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import Learner
@@ -22,7 +22,9 @@ from koopdqn.safety import Guard
 from koopdqn.safety.guard import TUBE
 from koopdqn.settings import validate
 from koopdqn.tasks.actions import reached_poses, twists_between
+from koopdqn.tasks.obstacles import Obstacle
 from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.workcell import open_workcell
 
 LIMIT = 800
 X = np.linspace(0.0, 0.4, 41)
@@ -170,10 +172,34 @@ def test_a_correction_is_kept_with_the_policy(tmp_path: Path) -> None:
     assert new.bend is not None
     assert np.array_equal(new.bend.bent, bend.bent)
     assert isinstance(around(new, model), PolicyAround)
-    with pytest.raises(BadInputError, match="a corrected run serves the scene in which it was corrected"):
-        around(new, BentIntent(model, bend))
+    led = around(new, BentIntent(model, Bend.none(LINE)))
+    assert isinstance(led, PolicyAround)
+    assert led.bend is new.bend, "a correction goes before what is led around"
     start = task.nominal_start[None]
     assert np.array_equal(old.values(start, start), new.values(start, start))
+
+
+def test_a_corrected_policy_follows_its_correction_wherever_it_is_asked() -> None:
+    was = along(played(shelf(), _Twisted(), LIMIT), STILL)
+    now = was.through(was.path[[len(was.path) // 2]] + np.array([[0.0, 0.0, 0.08]]))
+    by_itself, led = played(shelf(), _Twisted(now), LIMIT), played(shelf(), PolicyAround(_Twisted(), now), LIMIT)
+    assert np.array_equal(by_itself.poses, led.poses)
+    assert np.linalg.norm(by_itself.poses[:, None, :3] - was.path, axis=2).min(axis=1).max() > 0.07
+
+
+def test_what_stands_in_the_corrected_path_is_refused_and_nothing_else() -> None:
+    was = along(played(shelf(), _Twisted(), LIMIT), STILL)
+    middle = len(was.path) // 2
+    now = was.through(was.path[[middle]] + np.array([[0.0, -0.1, 0.0]]))
+    for place in (now.bent[middle], np.array([-0.5, -0.5, 0.5])):
+        lamp = {"name": "lamp", "shape": "sphere", "center_m": tuple(place.tolist()), "radius_m": 0.005}
+        task = PARTS.task.model_copy(update={"obstacles": (Obstacle.model_validate(lamp),)})
+        cell = open_workcell(task, PARTS.arm)
+        if place[0] < 0.0:
+            check_clear(cell, _Twisted(now), LIMIT)
+        else:
+            with pytest.raises(BadInputError, match=r"not stand in the way of a corrected run, found: .*collision"):
+                check_clear(cell, _Twisted(now), LIMIT)
 
 
 def test_waypoints_are_a_list_or_a_file(tmp_path: Path) -> None:

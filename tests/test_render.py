@@ -1,5 +1,6 @@
 import os
 from collections.abc import Iterator
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -29,7 +30,7 @@ def view(scene: "Scene", motion: "Array") -> View:
 def camera(scene: "Scene") -> Iterator[Camera]:
     if os.environ.get(VARIABLE) == DISABLED:
         pytest.skip(NO_OPENGL)
-    with Camera(scene, SIZE) as opened:
+    with closing(Camera(scene, SIZE)) as opened:
         yield opened
 
 
@@ -105,7 +106,7 @@ def test_more_lines_than_there_is_room_for_are_thinned_not_refused(
 ) -> None:
     monkeypatch.setattr("koopdqn.robot.render._MAX_GEOMS", 120)
     path = scene.arm.forward(motion)[:, :3]
-    with Camera(scene, SIZE) as small:
+    with closing(Camera(scene, SIZE)) as small:
         plain, drawn = small.picture(motion[-1], view), small.picture(motion[-1], view, [Line(path, RED, 0.006)])
     columns, rows = np.rint(view.pixels(path[[0, -1]], SIZE, 45.0) - 0.5).astype(int).T
     assert changed(plain, drawn)[rows, columns].all()

@@ -59,8 +59,8 @@ def test_a_screen_fits_its_terminal(
     assert len(composed) == height
     assert all(line.cell_len <= width for line in composed)
     assert composed[-1].cell_len < width, "a full last line would scroll"
-    assert place.left + place.width <= width
-    assert place.top + place.rows < height
+    assert place.width <= width
+    assert place.rows + 1 < height
 
 
 def test_a_screen_says_the_leg_of_a_path_that_turns_back_and_of_no_other(parts: Parts, asked: Question) -> None:

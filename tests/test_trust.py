@@ -10,7 +10,7 @@ from parts import load_parts
 from koopdqn import pose
 from koopdqn.intent.box import Box, BoxSettings
 from koopdqn.intent.fit import Fitted
-from koopdqn.intent.trust import COMPONENTS, TrustDomain, calibrate
+from koopdqn.intent.trust import COMPONENTS, calibrate
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
 
@@ -260,5 +260,3 @@ def test_a_ball_is_trusted_as_far_as_its_radius_and_nothing_else_changes(far: fl
         assert (wider.distance(at(0.05, 0.2 + far))[0] <= 1.0) == (far < radius)
     assert not wider.contains(at(0.05, 0.2, turn=(0.5, 0.0, 0.0)), step)[0]
     assert not drawn.contains(middle, step)[0]
-    restored = TrustDomain.restore(wider.arrays(), wider.settings)
-    assert restored.contains(middle, step)[0]

@@ -281,9 +281,9 @@ def test_pictures_show_the_trust_domain_where_the_path_lies(trust: str) -> None:
     demonstrations = derivation(holdout=0).derive(shown(*map(recorded, eights()))).training
     fitted = fit(demonstrations, task(), PARTS.intent, load_parts(f"trust={trust}").trust, PARTS.reward)
     frame = fitted.model.start_frame
-    drawn = fitted.trust.drawn(frame).shape()["middle" if trust == "tube" else "mean"][:, :3]
+    drawn = fitted.trust.drawn(frame).arrays()["middle" if trust == "tube" else "mean"][:, :3]
     path = np.concatenate(task().trajectories)[:, :3]
     assert KDTree(path).query(drawn)[0].max() < 0.01
-    assert KDTree(path).query(fitted.trust.shape()["middle" if trust == "tube" else "mean"][:, :3])[0].max() > 0.05
+    assert KDTree(path).query(fitted.trust.arrays()["middle" if trust == "tube" else "mean"][:, :3])[0].max() > 0.05
     with_ball = fitted.trust.extended(frame.each(task().trajectories)[0][100:101], np.array([0.02]))
     assert np.allclose(with_ball.drawn(frame).balls.poses[0], task().trajectories[0][100], atol=1e-6)

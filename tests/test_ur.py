@@ -105,7 +105,6 @@ def test_inverse_seeded_at_a_solution_returns_it() -> None:
         result = ARM.inverse(pose, row)
         assert result.success
         np.testing.assert_allclose(result.joints, row, atol=1e-9, rtol=0)
-        assert max(result.position_residual, result.rotation_residual) < 1e-9
 
 
 def test_inverse_from_any_seed_recovers_the_pose_within_the_limits() -> None:
@@ -114,7 +113,6 @@ def test_inverse_from_any_seed_recovers_the_pose_within_the_limits() -> None:
         assert result.success
         assert result.reason == ""
         assert_reaches(result.joints, pose)
-        assert max(result.position_residual, result.rotation_residual) < 1e-9
         assert np.all(np.abs(result.joints) <= TURN)
 
 
@@ -128,21 +126,12 @@ def test_inverse_solves_every_pose_the_arm_can_take(joints: Array, seed: Array) 
     assert_reaches(result.joints, pose, 1e-9 if abs(math.sin(joints[4])) > 2e-7 else 2.5e-7)
 
 
-@given(joints=joint_vectors, seed=joint_vectors)
-def test_residuals_are_the_distances_of_the_forward_kinematics(joints: Array, seed: Array) -> None:
-    pose = ARM.forward(joints)
-    for target in (pose, pose + 2.0 * np.eye(7)[0]):
-        result = ARM.inverse(target, seed)
-        reached = ARM.forward(result.joints)
-        assert result.position_residual == pytest.approx(poses.position_distance(reached, target), abs=1e-14)
-        assert result.rotation_residual == pytest.approx(poses.rotation_distance(reached, target), abs=1e-14)
-
-
 @given(joints=joint_vectors, scale=st.floats(0.1, 10.0), flipped=st.booleans())
 def test_length_and_sign_of_the_quaternion_do_not_matter(joints: Array, scale: float, flipped: bool) -> None:
     pose = ARM.forward(joints)
     other = np.concatenate([pose[:3], pose[3:] * (-scale if flipped else scale)])
-    np.testing.assert_allclose(ARM.inverse(other, HOME).position_residual, 0.0, atol=1e-7)
+    reached = ARM.forward(ARM.inverse(other, HOME).joints)
+    np.testing.assert_allclose(reached[:3], pose[:3], atol=1e-7)
     if abs(math.sin(joints[4])) > 1e-3 and abs(math.sin(joints[2])) > 1e-3:
         np.testing.assert_allclose(
             sorted(map(tuple, np.round(ARM.solutions(other), 6))), sorted(map(tuple, np.round(ARM.solutions(pose), 6)))
@@ -246,7 +235,7 @@ def test_a_path_through_the_wrist_singularity_has_no_jump(offset: float, directi
     for pose in path:
         result = ARM.inverse(pose, joints)
         assert result.success
-        assert max(result.position_residual, result.rotation_residual) < 1.1e-7
+        assert_reaches(result.joints, pose, 1.1e-7)
         joints = result.joints
         walked.append(joints)
     steps = np.abs(np.diff(walked, axis=0))
@@ -289,7 +278,7 @@ def test_rounding_at_full_stretch_is_forgiven(excess: float) -> None:
     pose[:3] += excess * along
     result = ARM.inverse(pose, straight)
     assert result.success
-    assert result.position_residual < 1e-9
+    assert poses.position_distance(ARM.forward(result.joints), pose) < 1e-9
     assert len(ARM.solutions(pose, straight)) >= 1
 
 
@@ -362,8 +351,11 @@ def test_forward_refuses_other_numbers_of_joints() -> None:
         ({"a2": 0.0}, "a2: must be below 0 m, as in the maker's table, found 0.0"),
         ({"a3": 0.39}, "a3: must be below 0 m, as in the maker's table, found 0.39"),
         ({"joint_names": ["a"] * 6}, "joint_names: must be 6 different names"),
-        ({"velocity_limits": [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]}, "velocity_limits: must be above 0 rad/s, found 0.0"),
-        ({"torque_limits": [1.0, 1.0, -2.0, 1.0, 1.0, 1.0]}, "torque_limits: must be above 0 Nm, found -2.0"),
+        (
+            {"velocity_limits": [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]},
+            "velocity_limits: must be above 0 rad/s for elbow_joint, found 0.0",
+        ),
+        ({"torque_limits": [1.0, 1.0, -2.0, 1.0, 1.0, 1.0]}, "torque_limits: must be above 0 Nm for .*, found -2"),
         ({"joint_upper": [-7.0] * 6}, "joint_lower: must be below joint_upper for shoulder_pan_joint"),
         ({"home": [7.0] * 6}, "home: must lie within"),
         ({"d7": 1.0}, "d7"),

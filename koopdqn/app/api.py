@@ -210,11 +210,14 @@ def evaluate(
         raise BadInputError(f"actions: must be those of the policy, {taken}, found {config.inputs.actions}")
     if trained.policy.task.name != config.task.name:
         raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
+    from koopdqn.rl.policy import around
+
     workcell = open_workcell(config)
+    reward = _reward_around_obstacles(config, workcell, demonstrations, fitted)
     return evaluate_policy(
         workcell,
-        trained.policy,
-        _reward_around_obstacles(config, workcell, demonstrations, fitted),
+        around(trained.policy, reward.model),
+        reward,
         agent_steps(demonstrations, config.task),
         config.eval,
         trained.step_limit,

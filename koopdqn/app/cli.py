@@ -5,10 +5,9 @@ import contextlib
 import gc
 import sys
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import typer
 
@@ -28,23 +27,8 @@ app = typer.Typer(
 )
 
 
-class Shown(StrEnum):
-    """What ``--cfg`` prints."""
-
-    JOB = "job"
-    HYDRA = "hydra"
-    ALL = "all"
-
-
-class Info(StrEnum):
-    """What ``--info`` prints."""
-
-    ALL = "all"
-    CONFIG = "config"
-    DEFAULTS = "defaults"
-    DEFAULTS_TREE = "defaults-tree"
-    PLUGINS = "plugins"
-    SEARCHPATH = "searchpath"
+Shown = Literal["job", "hydra", "all"]
+Info = Literal["all", "config", "defaults", "defaults-tree", "plugins", "searchpath"]
 
 
 def _complete(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -153,7 +137,7 @@ def _compose_and_run(name: str, hydra: Mapping[str, Any], overrides: Sequence[st
         if as_json:
             raise BadInputError("--json: prints a command's result and cannot be combined with --cfg or --info")
         # Hydra's help is about Hydra's own config, which has none of our keys
-        return application.show(name, given, [] if hydra["hydra_help"] else prepared.overrides)
+        return application.show(given, [] if hydra["hydra_help"] else prepared.overrides)
     return application.run(name, given, prepared.overrides, run, as_json=as_json, record=prepared.record)
 
 
@@ -219,5 +203,5 @@ def _with_info_value(arguments: Sequence[str]) -> list[str]:
     for argument, following in zip(arguments, [*arguments[1:], ""], strict=False):
         result.append(argument)
         if argument in ("--info", "-i") and (not following or following.startswith("-") or "=" in following):
-            result.append(Info.ALL.value)
+            result.append("all")
     return result

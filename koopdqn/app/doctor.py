@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -90,7 +91,7 @@ def run(*, as_json: bool) -> int:
 def examine() -> list[Check]:
     """Return the findings about this machine; rendering and MuJoCo are tried in processes of their own."""
     return [
-        check_python(),
+        Check("Python", "ok", platform.python_version()),
         *check_packages(_version),
         _probed("MuJoCo simulates", _STEP_PROBE, "pip install --force-reinstall mujoco"),
         *check_rendering(probe),
@@ -125,14 +126,6 @@ def probe(code: str, **environment: str) -> tuple[bool, str]:
 def _probed(name: str, code: str, mend: str) -> Check:
     works, line = probe(code)
     return Check(name, "ok", line) if works else Check(name, "fail", line, mend)
-
-
-def check_python(version: tuple[int, ...] = sys.version_info[:3]) -> Check:
-    """Return whether Python is recent enough."""
-    found = ".".join(str(part) for part in version)
-    if version[:2] < (3, 11):
-        return Check("Python", "fail", found, "install Python 3.11 or newer")
-    return Check("Python", "ok", found)
 
 
 def check_packages(version: Callable[[str], str | None]) -> list[Check]:

@@ -108,7 +108,6 @@ _MEDIAN_SIZE = 1.5382
 _SIGMAS = 4.0 * _MEDIAN_SIZE
 _WIDEST = 3.0
 _FEWEST = 5
-_BLOCK = 1 << 9
 
 
 @dataclass(frozen=True)
@@ -184,15 +183,8 @@ def noise_of(item: Demonstration) -> tuple[float, float]:
 
 def _still(poses: Array, distance: float, turn: float) -> int:
     """Return the number of first poses (N, 7) within distance [m] and turn [rad] of the first one."""
-    # Block by block, each twice as long: the arm mostly moves soon.
-    begin, block = 0, _BLOCK
-    while begin < len(poses):
-        some = poses[begin : begin + block]
-        moved = (pose.position_distance(some, poses[0]) > distance) | (pose.rotation_distance(some, poses[0]) > turn)
-        if moved.any():
-            return begin + int(moved.argmax())
-        begin, block = begin + block, 2 * block
-    return len(poses)
+    moved = (pose.position_distance(poses, poses[0]) > distance) | (pose.rotation_distance(poses, poses[0]) > turn)
+    return int(moved.argmax()) if moved.any() else len(poses)
 
 
 def _rest(poses: Array, distance: float, turn: float) -> Array:

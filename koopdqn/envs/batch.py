@@ -125,8 +125,15 @@ class Batch:
 
     @property
     def joints(self) -> Array:
-        """The arm's present joint angles (N, 6) [rad]."""
-        return self._env.episodes.joints.copy()
+        """The arm's present joint angles (N, 6) [rad]; where the goal moves, some that lead to the flange's pose.
+
+        Where there are none, they are the posture's.
+        """
+        held = self._env.episodes.joints.copy()
+        if self._task.goal_half_range_m is None:
+            return held
+        found = self._env.workcell.arm.inverse_batch(self._env.episodes.poses, held)
+        return np.where(np.isnan(found), held, found)
 
     def begin(self, index: int) -> None:
         """Begin another episode at ``index``."""

@@ -116,6 +116,14 @@ def played(workcell: Workcell, policy: Controller, limit: int) -> Episode:
     return episode
 
 
+def check_clear(workcell: Workcell, corrected: Controller, limit: int) -> None:
+    """Raise BadInputError if what stands in a scene that a corrected policy never saw is in the way of its path."""
+    try:
+        played(workcell, corrected, limit)
+    except WorkFailedError as error:
+        raise BadInputError(f"obstacles: must not stand in the way of a corrected run, found: {error}") from error
+
+
 def along(episode: Episode, frame: StartFrame) -> Bend:
     """Return the bend of an episode's path, its stairs smoothed, that moves nothing, in the start frame."""
     local = frame.to_frame(episode.poses, episode.poses[:1])

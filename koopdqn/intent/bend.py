@@ -186,10 +186,6 @@ class BentIntent(ModelOver):
         straight = self.bend.straightened(poses)
         return self.bend.bent_next(poses, straight, self.base.predict(straight))
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the base's arrays and the bend's."""
-        return {**self.base.arrays(), "bend_path": self.bend.path, "bend_offsets": self.bend.offsets}
-
 
 @dataclass(frozen=True)
 class BentTrust(TrustDomain):
@@ -207,10 +203,6 @@ class BentTrust(TrustDomain):
     def of(cls, base: TrustDomain, bend: Bend) -> "BentTrust":
         """Return a domain bent."""
         return cls(base.settings, base.right, base.doubt, base.balls, base, bend)
-
-    def shape(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the base's shape."""
-        return self.base.shape()
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the base contains the straightened poses (N, 7), and the doubt (N,) there."""

@@ -1,17 +1,15 @@
 """The paper's trust domain: k standard deviations around the mean of every step (§3.4)."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal, Self
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from koopdqn import pose
 from koopdqn.intent.trust import COMPONENTS, Balls, TrustDomain, TrustSettings, calibrate, components_of, no_balls
 from koopdqn.paths import to_count, way_lengths
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import StartFrame
 
 
 class BoxSettings(TrustSettings):
@@ -51,15 +49,8 @@ class BoxSettings(TrustSettings):
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> TrustDomain:
         """Return the domain with these arrays."""
-        return Box(
-            self,
-            arrays["right"],
-            arrays["doubt"],
-            self._no_balls(),
-            arrays["frame"],
-            arrays["mean"],
-            arrays["deviation"],
-        )
+        right, doubt, *shape = (arrays[name] for name in ("right", "doubt", "frame", "mean", "deviation"))
+        return Box(self, right, doubt, self._no_balls(), *shape)
 
     def _no_balls(self) -> Balls:
         return no_balls(max(self.sigmas * self.rotation_floor_rad, 1e-3))
@@ -80,16 +71,7 @@ class Box(TrustDomain):
     mean: Array
     deviation: Array
 
-    def shape(self) -> dict[str, np.ndarray]:
-        """Return frame, mean and deviation."""
-        return {"frame": self.frame, "mean": self.mean, "deviation": self.deviation}
-
-    def drawn(self, frame: StartFrame) -> Self:
-        """Return the boxes for pictures, with their places where they lie."""
-        kept = ~frame.between_floors(self.mean[:, pose.POSITION])
-        held = {name: getattr(self, name)[kept] for name in ("mean", "deviation", "right", "doubt")}
-        held["mean"][:, pose.POSITION] = frame.folded(held["mean"][:, pose.POSITION])
-        return replace(super().drawn(frame), **held)
+    places = ("mean", "deviation")
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether a box (with matching by step, that of their step) contains poses (N, 7), and its doubt."""

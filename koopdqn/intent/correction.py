@@ -1,12 +1,11 @@
 """Corrections: answers change an intent model's predictions around the poses they were given for."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.intent.model import IntentModel, IntentSettings, ModelOver
+from koopdqn.intent.model import IntentModel, ModelOver
 from koopdqn.pose import Array
 
 # A pair corrects no orientation farther than this from its own [rad].
@@ -44,11 +43,6 @@ class CorrectedIntent(ModelOver):
         """The base."""
         return self.base
 
-    @property
-    def unbent(self) -> IntentModel:
-        """The model itself, or the base's where the base is bent: answers were given about the bent way."""
-        return self if self.base.unbent is self.base else self.base.unbent
-
     def correct(self, poses: Array, predicted: Array) -> Array:
         """Return the base's predictions (N, 7) at poses (N, 7), corrected by the pairs."""
         blend, weights = self._blend(poses)
@@ -67,11 +61,6 @@ class CorrectedIntent(ModelOver):
         predicted[rows] = pose.make(poses[rows, pose.POSITION] + motion[:, :3], turned)
         return predicted
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return the base's arrays and the pairs."""
-        pairs = {"pairs_before": self.poses, "pairs_after": self.following, "pairs_reach": self.reaches}
-        return {**self.base.arrays(), **pairs}
-
     def _blend(self, poses: Array) -> tuple[Array, Array]:
         """Return the blend of the answers (N,) at poses (N, 7), and the weight of each (N, M), which sum to 1."""
         position = poses[:, pose.POSITION]
@@ -83,28 +72,6 @@ class CorrectedIntent(ModelOver):
         total = weights.sum(axis=1, keepdims=True)
         left = pose.norm(position - self.goal[pose.POSITION])
         return near.max(axis=1) * (1.0 - _fading(left / _GOAL_M)), weights / np.where(total > 0.0, total, 1.0)
-
-
-def corrected(model: IntentModel, poses: Array, following: Array, reaches: Array) -> IntentModel:
-    """Return a model corrected by pairs: from poses (M, 7) a person goes to ``following`` (M, 7).
-
-    They correct the prediction within ``reaches`` (M,) [m] of their poses and nowhere else. No pairs give the model
-    itself.
-    """
-    if not len(poses):
-        return model
-    if isinstance(model, CorrectedIntent):
-        pairs = (model.poses, poses), (model.following, following), (model.reaches, reaches)
-        return CorrectedIntent(model.base, *(np.concatenate(each) for each in pairs))
-    return CorrectedIntent(model, np.array(poses), np.array(following), np.array(reaches))
-
-
-def restored(arrays: Mapping[str, np.ndarray], settings: IntentSettings) -> IntentModel:
-    """Return the model with these :meth:`IntentModel.arrays`, corrections included."""
-    model = settings.restore(arrays)
-    if "pairs_before" in arrays:
-        return corrected(model, *(arrays[f"pairs_{name}"] for name in ("before", "after", "reach")))
-    return model
 
 
 def _fading(share: Array) -> Array:

@@ -118,7 +118,8 @@ class _Grid:
     def along(cls, workcell: Workcell, model: IntentModel, starts: Array) -> "_Grid":
         task, arm = workcell.task, workcell.arm
         begun = task.nominal_start[None]
-        path = model.start_frame.to_frame(model.intended_paths(begun, _LONGEST, task.step_m)[:, 0], begun)
+        step = max(task.step_m, _SPACING_M)
+        path = model.start_frame.to_frame(model.intended_paths(begun, _LONGEST, step)[:, 0], begun)
         length = float(arc_lengths(path[:, pose.POSITION])[-1])
         poses = to_count(path, max(3, round(length / _LAYER_M) + 1))
         tangents = np.gradient(poses[:, pose.POSITION], axis=0)

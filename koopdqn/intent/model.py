@@ -38,9 +38,9 @@ class IntentSettings(Settings, ABC):
         return STILL
 
     @property
-    @abstractmethod
     def ridges(self) -> tuple[float, ...]:
-        """The candidate ridges λ, at least one."""
+        """The candidate ridges λ, at least one: that of the settings, if they have one."""
+        return (getattr(self, "ridge", 0.0),)
 
     def with_ridge(self, ridge: float) -> "IntentSettings":
         """Return the settings with one ridge only."""
@@ -181,3 +181,7 @@ class ModelOver(IntentModel):
     def matrices(self) -> dict[str, KoopmanModel]:
         """The Koopman models of the base."""
         return self.base.matrices
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the base's arrays; what changes it is never stored."""
+        return self.base.arrays()

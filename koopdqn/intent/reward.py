@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from koopdqn import pose
-from koopdqn.intent.correction import corrected
+from koopdqn.intent.correction import CorrectedIntent
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import Trust, TrustDomain
 from koopdqn.pose import Array
@@ -132,7 +132,7 @@ class IntentReward:
             after: (D, 7) poses that the person wants reached from them.
             reaches: (D,) [m] within which these answers correct the model.
         """
-        model = corrected(self.model, before, after, reaches)
+        model = CorrectedIntent(self.model, before, after, reaches) if len(before) else self.model
         trust = self.trust if not len(yeses) else self.trust.extended(yeses, radii)
         return replace(self, model=model, trust=trust)
 

@@ -213,11 +213,6 @@ class JointIntentSettings(IntentSettings):
         koopman = KoopmanModel.fit(self.observables, before, after, np.zeros(6), 1.0, self.ridge)
         return JointIntent(koopman, task.frame, task.orientation == "held", task.goal)
 
-    @property
-    def ridges(self) -> tuple[float, ...]:
-        """The one ridge."""
-        return (self.ridge,)
-
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model with these arrays."""
         koopman = KoopmanModel(self.observables, np.zeros(6), 1.0, arrays["matrix"])
@@ -268,11 +263,6 @@ class LineIntentSettings(IntentSettings):
         if task.orientation == "learned":
             rotation = RotationModel(_line_model(task.angles(chosen[:, pose.QUATERNION])), task.frame, "angles")
         return SeparateIntent(_line_model(chosen[:, pose.POSITION]), rotation, task.goal)
-
-    @property
-    def ridges(self) -> tuple[float, ...]:
-        """Zero: a line needs no ridge."""
-        return (0.0,)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> IntentModel:
         """Return the model with these arrays."""

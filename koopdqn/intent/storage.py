@@ -16,7 +16,6 @@ from koopdqn.artifact import (
     reading,
     write_artifact,
 )
-from koopdqn.intent.correction import restored
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.trust import TrustDomain, TrustSettings
 from koopdqn.settings import load_settings
@@ -73,7 +72,7 @@ def read_intent(path: Path, task: Task) -> StoredIntent:
         settings = load_settings(about["intent"], IntentSettings, "intent")
         trust = load_settings(about["trust"], TrustSettings, "trust")
         own = {name: values for name, values in arrays.items() if not name.startswith(_TRUST)}
-        model, domain = restored(own, settings), TrustDomain.restore(below(arrays, _TRUST), trust)
+        model, domain = settings.restore(own), trust.restore(below(arrays, _TRUST))
         _try_out(model, domain, task)
         return StoredIntent(model, domain, settings, str(about["made_from"]["demonstrations"]))
 

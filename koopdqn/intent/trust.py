@@ -2,9 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, Strict
@@ -53,7 +53,7 @@ class TrustSettings(Settings, ABC):
 
     @abstractmethod
     def restore(self, arrays: Mapping[str, np.ndarray]) -> "TrustDomain":
-        """Return the domain with these :meth:`TrustDomain.arrays`, without its balls."""
+        """Return the domain with these :meth:`TrustDomain.arrays`."""
 
 
 @dataclass(frozen=True)
@@ -119,30 +119,24 @@ class TrustDomain(ABC):
     doubt: Array
     balls: Balls
 
-    @classmethod
-    def restore(cls, arrays: Mapping[str, np.ndarray], settings: TrustSettings) -> "TrustDomain":
-        """Return the domain with these :meth:`arrays`."""
-        domain = settings.restore(arrays)
-        return domain.extended(arrays["ball_poses"], arrays["ball_radii"]) if "ball_poses" in arrays else domain
+    places: ClassVar[tuple[str, ...]] = ()
+    """Names of the arrays (S, ...) of its places, the first of which begins with positions."""
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Return the domain as arrays, without its settings."""
-        held = {"right": self.right, "doubt": self.doubt, **self.shape()}
-        if len(self.balls.radii):
-            held |= {"ball_poses": self.balls.poses, "ball_radii": self.balls.radii}
-        return held
+        """Return what the domain consists of but its settings and balls, as arrays."""
+        return {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("settings", "balls")}
 
     def drawn(self, frame: StartFrame) -> Self:
         """Return the domain for pictures, with its places where they lie: a frame may have unfolded a path."""
-        if frame.unfolding is None or not len(self.balls.radii):
+        if frame.unfolding is None:
             return self
-        poses = self.balls.poses.copy()
-        poses[:, pose.POSITION] = frame.folded(poses[:, pose.POSITION])
-        return replace(self, balls=replace(self.balls, poses=poses))
-
-    @abstractmethod
-    def shape(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the domain's shape."""
+        first = getattr(self, self.places[0])
+        kept = ~frame.between_floors(first[:, pose.POSITION])
+        held = {name: getattr(self, name)[kept] for name in (*self.places, "right", "doubt")}
+        balls = self.balls.poses.copy()
+        for rows in (held[self.places[0]], balls):
+            rows[:, pose.POSITION] = frame.folded(rows[:, pose.POSITION])
+        return replace(self, balls=replace(self.balls, poses=balls), **held)
 
     @abstractmethod
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

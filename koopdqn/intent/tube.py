@@ -1,9 +1,8 @@
 """The tube: a trust domain whose radius is calibrated by leaving one demonstration out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from pydantic import Field
@@ -12,7 +11,6 @@ from koopdqn import pose
 from koopdqn.intent.trust import TrustDomain, TrustSettings, calibrate, no_balls, squared_distances
 from koopdqn.paths import mean_poses, way_lengths
 from koopdqn.pose import Array
-from koopdqn.tasks.start_frame import StartFrame
 
 # Demonstrations needed to estimate the spread along the path with one left out.
 _LEAST_FOR_SPREAD = 3
@@ -171,16 +169,7 @@ class Tube(TrustDomain):
     radius: Array
     spread: Array
 
-    def shape(self) -> dict[str, np.ndarray]:
-        """Return middle, radius and spread."""
-        return {"middle": self.middle, "radius": self.radius, "spread": self.spread}
-
-    def drawn(self, frame: StartFrame) -> Self:
-        """Return the tube for pictures, with its places where they lie."""
-        kept = ~frame.between_floors(self.middle[:, pose.POSITION])
-        held = {name: getattr(self, name)[kept] for name in ("middle", "radius", "spread", "right", "doubt")}
-        held["middle"][:, pose.POSITION] = frame.folded(held["middle"][:, pose.POSITION])
-        return replace(super().drawn(frame), **held)
+    places = ("middle", "radius", "spread")
 
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the tube contains poses (N, 7), and the nearest place's doubt; steps do not matter."""

@@ -69,11 +69,6 @@ class WholePoseSettings(IntentSettings):
     ridge: float = Field(gt=0, description="λ of the regularised least squares")
     seed: int = Field(ge=0, description="of features and augmented states")
 
-    @property
-    def ridges(self) -> tuple[float, ...]:
-        """The one ridge."""
-        return (self.ridge,)
-
     def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
         """Return the frame in which the mean of the other trajectories (N, 7) is nearer to the one left out."""
         if task.unfolds:

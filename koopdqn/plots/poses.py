@@ -1,6 +1,7 @@
 """The pictures of a demonstration's initial, two intermediate and goal poses: on the arm, and as paths in space."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
@@ -54,7 +55,7 @@ def plot_poses(path: Path, scene: Scene, item: Demonstration, view: View, title:
         lines += [Line(np.array([origin, end]), rgba(colour), 0.0025) for end, colour in ends]
     marks = [Sphere(item.poses[stop, pose.POSITION], rgba(INK), 0.008) for stop in stops]
     ghosts = [Ghost(joints[stop], 0.45) for stop in stops[:-1]]
-    with Camera(scene, SIZE) as camera:
+    with closing(Camera(scene, SIZE)) as camera:
         image = camera.picture(joints[-1], view, lines, marks, ghosts)
     with picture(path, title, WIDTH, HEIGHT) as figure:
         show_image(figure.subplots(), image, "")

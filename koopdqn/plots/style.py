@@ -1,7 +1,7 @@
 """The look of every picture: colours, type, and how a figure becomes the same PNG bytes each time."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
@@ -203,5 +203,5 @@ def draw_motion(
     """
     colours = series_colours(len(paths)) if colours is None else colours
     lines = [Line(path, rgba(colour)) for path, colour in zip(paths, colours, strict=True)]
-    with Camera(scene, size) as camera:
+    with closing(Camera(scene, size)) as camera:
         return camera.picture(joints[-1], choose_view(scene, joints, size), lines, ghosts=[Ghost(joints[0])])

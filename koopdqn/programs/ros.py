@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from koopdqn.errors import BadInputError
 from koopdqn.files import write_text
@@ -43,30 +44,9 @@ def write_json_trajectory(path: Path, program: Program) -> None:
 
 def write_yaml_trajectory(path: Path, program: Program) -> None:
     """Write the message as YAML, as ``ros2 topic echo`` prints it, one list a line."""
-    message = joint_trajectory(program)
-    head = message["header"]
-    lines = [
-        "header:",
-        f"  stamp: {_mapping(head['stamp'])}",
-        f"  frame_id: {head['frame_id']}",
-        "joint_names:",
-        *(f"- {name}" for name in message["joint_names"]),
-        "points:",
-    ]
-    for point in message["points"]:
-        rows = [f"{name}: {_row(point[name])}" for name in ("positions", "velocities", "accelerations", "effort")]
-        rows.append(f"time_from_start: {_mapping(point['time_from_start'])}")
-        lines += [f"{'- ' if index == 0 else '  '}{row}" for index, row in enumerate(rows)]
-    write_text(path, "\n".join([*lines, ""]))
-
-
-def _row(values: list[float]) -> str:
-    # YAML 1.1 takes 1e-05 for a text.
-    return "[" + ", ".join(f"{value:.{_DIGITS}f}" for value in values) + "]"
-
-
-def _mapping(values: dict[str, int]) -> str:
-    return "{" + ", ".join(f"{key}: {value}" for key, value in values.items()) + "}"
+    # One list a line, as `ros2 topic echo` prints it.
+    look: dict[str, Any] = {"default_flow_style": None, "sort_keys": False, "width": 10_000}
+    write_text(path, yaml.dump(joint_trajectory(program), Dumper=yaml.CSafeDumper, **look))
 
 
 def write_bag(folder: Path, program: Program) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import continuous
 from koopdqn.files import write_text
+from koopdqn.paths import between
 from koopdqn.pose import Array
 from koopdqn.programs.program import Program
 from koopdqn.programs.settings import GAIN, LOOKAHEAD_S
@@ -86,12 +87,7 @@ def corners_of(poses: Array) -> list[int]:
         way = poses[last, pose.POSITION] - poses[first, pose.POSITION]
         share = ((inner[:, pose.POSITION] - poses[first, pose.POSITION]) @ way) / max(float(way @ way), 1e-18)
         share = share.clip(0.0, 1.0)
-        ends = np.broadcast_to(poses[[first, last], None], (2, len(inner), 7))
-        turn = share * pose.rotation_distance(poses[first], poses[last])
-        line = pose.make(
-            poses[first, pose.POSITION] + share[:, None] * way,
-            pose.turned_toward(ends[0][:, pose.QUATERNION], ends[1][:, pose.QUATERNION], turn),
-        )
+        line = between(poses[first], poses[last], share)
         off = np.maximum(pose.position_distance(line, inner) / _OFF_M, pose.rotation_distance(line, inner) / _OFF_RAD)
         if off.max() > 1.0:
             middle = first + 1 + int(off.argmax())

@@ -54,7 +54,7 @@ class Policy:
         task: gives the goal in observations.
         frame: the start frame of observations.
         continuous: whether the network is an actor.
-        bend: of its path where a person has corrected it (:class:`PolicyAround` follows it); None where nobody has.
+        bend: of its path where a person has corrected it; None where nobody has.
     """
 
     network: QNetwork
@@ -66,13 +66,17 @@ class Policy:
     def __call__(self, poses: Array, starts: Array) -> np.ndarray:
         """Return the actions from poses (N, 7) of episodes that began at ``starts`` (N, 7).
 
-        They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6). Where a path passes itself starts
-        change on the way: ``frame.onward`` gives those that count from a pose on.
+        They are the ones (N,) of greatest value, or the actor's twists (N, 3 or 6); of a corrected policy those that
+        lead along its correction. Where a path passes itself starts change on the way: ``frame.onward`` gives those
+        that count from a pose on.
 
         Raises:
             BadInputError: poses or starts are of another shape or not finite, or a quaternion has not unit length.
         """
-        values = self.values(pose.checked(poses, "poses"), pose.checked(starts, "starts"))
+        poses, starts = pose.checked(poses, "poses"), pose.checked(starts, "starts")
+        if self.bend is not None:
+            return PolicyAround(self, self.bend)(poses, starts)
+        values = self.values(poses, starts)
         return in_balls(values.astype(np.float64)) if self.continuous else np.asarray(values.argmax(axis=1))
 
     def values(self, poses: Array, starts: Array) -> np.ndarray:
@@ -154,15 +158,10 @@ class PolicyAround:
 def around(policy: Policy, model: IntentModel) -> "Policy | PolicyAround":
     """Return a policy made fit for the obstacles that an intent model is bent around, if it was trained without any.
 
-    A corrected policy is made to follow its correction.
-
-    Raises:
-        BadInputError: it was corrected where nothing stood, and is to serve among obstacles.
+    A corrected policy follows its correction, whatever stands there.
     """
     moved = model.bend if isinstance(model, BentIntent) and not policy.task.obstacles else None
-    if moved is not None and policy.bend is not None:
-        raise BadInputError("obstacles: a corrected run serves the scene in which it was corrected, found others in it")
-    bend = policy.bend if moved is None else moved
+    bend = moved if policy.bend is None else policy.bend
     return policy if bend is None else PolicyAround(policy, bend)
 
 

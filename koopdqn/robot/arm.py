@@ -1,7 +1,7 @@
 """What an arm is for the rest of the program: its names, its limits and its kinematics; whole turns of its joints."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
@@ -18,26 +18,13 @@ class InverseResult:
 
     Attributes:
         joints: joint angles (n,) [rad], read-only: the solution, or the seed as given if there is none.
-        position_residual: distance [m] of the flange at ``joints``, by forward kinematics, from the pose asked for.
-        rotation_residual: rotation angle [rad] between the same two.
         success: whether ``joints`` reach the pose within the joint limits.
         reason: empty on success, otherwise a sentence that names the quantity, the rule and the value.
     """
 
     joints: Array
-    position_residual: float
-    rotation_residual: float
     success: bool
     reason: str
-
-
-@runtime_checkable
-class Calibrated(Protocol):
-    """An arm whose own lengths say where bodies of its MJCF file stand, whatever the file says."""
-
-    @property
-    def link_positions(self) -> Mapping[str, Sequence[float]]:
-        """Positions (3,) [m] of bodies by their names, each in its parent's frame."""
 
 
 @runtime_checkable
@@ -112,6 +99,20 @@ class Arm(Protocol):
 
         The nearest to it comes first, by the largest difference of a joint.
         """
+
+
+def check_limits(arm: Arm) -> None:
+    """Raise ValueError if a joint's range is empty or without home, or a speed or torque limit is not above 0."""
+    limits = arm.joint_lower, arm.joint_upper, arm.home, arm.velocity_limits, arm.torque_limits
+    for name, low, high, home, speed, torque in zip(arm.joint_names, *limits, strict=True):
+        if not low < high:
+            raise ValueError(f"joint_lower: must be below joint_upper for {name}, found {low} and {high} rad")
+        if not low <= home <= high:
+            raise ValueError(f"home: must lie within {low}…{high} rad for {name}, found {home}")
+        if speed <= 0.0:
+            raise ValueError(f"velocity_limits: must be above 0 rad/s for {name}, found {speed}")
+        if torque <= 0.0:
+            raise ValueError(f"torque_limits: must be above 0 Nm for {name}, found {torque:g}")
 
 
 TURN: Final = 2.0 * math.pi

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from koopdqn.pose import Array, position_distance, rotation_distance
-from koopdqn.robot.arm import Arm, InverseResult, unwrapped_batch
+from koopdqn.pose import Array
+from koopdqn.robot.arm import Arm, InverseResult, check_limits, unwrapped_batch
 from koopdqn.robot.chain import Chain, ClosedForm
 from koopdqn.robot.model import Model, read_model
 from koopdqn.settings import TARGET, Floats, Name, Names, PathText, Positive, Settings, load_settings
@@ -86,19 +86,10 @@ class MjcfArm(Settings):
         for key in _LISTS:
             if len(getattr(self, key)) != len(self.joint_names):
                 raise ValueError(f"{key}: must be {len(self.joint_names)} numbers, found {list(getattr(self, key))}")
-        for name, low, high, home, speed, torque in zip(
-            *(self.joint_names, self.joint_lower, self.joint_upper, self.home, self.velocity_limits),
-            self.torque_limits,
-            strict=True,
-        ):
-            if not low < high:
-                raise ValueError(f"joint_lower: must be below joint_upper for {name}, found {low} and {high} rad")
-            if not low <= home <= high:
-                raise ValueError(f"home: must lie within {low}…{high} rad for {name}, found {home}")
-            if speed <= 0.0:
-                raise ValueError(f"velocity_limits: must be above 0 rad/s for {name}, found {speed}")
+        for name, torque in zip(self.joint_names, self.torque_limits, strict=True):
             if torque <= 0.0:
                 raise ValueError(f"torque_limits: must be given for {name}, whose actuator has none in the file")
+        check_limits(self)
         if self.kinematics == "analytic":
             # Says why where there is none.
             _ = self._closed
@@ -140,14 +131,8 @@ class MjcfArm(Settings):
         success = not np.isnan(found).any()
         joints = found if success else near.copy()
         joints.setflags(write=False)
-        reached = self._chain.forward(joints)
-        return InverseResult(
-            joints,
-            float(position_distance(reached, target)),
-            float(rotation_distance(reached, target)),
-            success,
-            "" if success else f"out of reach: no joint angles within the limits of {self.name} were found",
-        )
+        reason = "" if success else f"out of reach: no joint angles within the limits of {self.name} were found"
+        return InverseResult(joints, success, reason)
 
     def inverse_batch(self, poses: ArrayLike, seeds: ArrayLike) -> Array:
         """Return the joint angles (N, n) [rad] that :meth:`inverse` finds for poses (N, 7) from seeds (N, n), or NaN.

@@ -4,7 +4,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from types import TracebackType
 from typing import Any, Final
 
 import mujoco
@@ -61,7 +60,7 @@ class Ghost:
 
 
 class Camera:
-    """Draws pictures of one scene, all of one size. Close it, or use it in a ``with`` block.
+    """Draws pictures of one scene, all of one size. Close it.
 
     Attributes:
         scene: what is drawn; its ``data`` is overwritten.
@@ -90,16 +89,6 @@ class Camera:
             raise WorkFailedError(
                 f"pictures need a rendering backend that works; tried {tried}: {reason}; see `koopdqn doctor`"
             ) from error
-
-    def __enter__(self) -> "Camera":
-        """Return the camera."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close the camera."""
-        self.close()
 
     def close(self) -> None:
         """Free what OpenGL holds."""

@@ -13,7 +13,7 @@ from koopdqn import pose
 from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.pose import Array
 from koopdqn.resources import asset_path
-from koopdqn.robot.arm import Arm, Calibrated
+from koopdqn.robot.arm import Arm
 from koopdqn.robot.model import driven_joints
 from koopdqn.settings import shown
 
@@ -38,7 +38,7 @@ class SceneBuilder:
         _spare_mounting(self._robot)
         for part in ("option", "statistic", "visual"):
             _yield(getattr(self._robot, part), getattr(self._arena, part))
-        for name, position in (arm.link_positions if isinstance(arm, Calibrated) else {}).items():
+        for name, position in getattr(arm, "link_positions", {}).items():
             self._named("body", name).pos = position
         self._arena.attach(self._robot)
         self._tool = mjcf.RootElement(model=_TOOL)

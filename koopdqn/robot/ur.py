@@ -8,7 +8,7 @@ Kinematics for the Universal Robots UR-5/UR-10 Arms" (2013), and of the maker's 
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +18,7 @@ from pydantic import model_validator
 
 from koopdqn.pose import Array, normalized
 from koopdqn.resources import asset_path
-from koopdqn.robot.arm import TURN, InverseResult, unwrapped, unwrapped_batch
+from koopdqn.robot.arm import TURN, InverseResult, check_limits, unwrapped, unwrapped_batch
 from koopdqn.settings import Name, Names, Positive, Settings, Vector6
 
 Scalars = tuple[float, ...]
@@ -41,17 +41,6 @@ def _scalars(values: ArrayLike, count: int, name: str, unit: str) -> Scalars:
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, found {array.tolist()}{unit}")
     return tuple(array.tolist())
-
-
-def _residuals(reached: Sequence[float], target: Sequence[float]) -> tuple[float, float]:
-    """Return the distance [m] and the rotation angle [rad] between two poses, as in :mod:`koopdqn.pose`."""
-    _, _, _, aw, ax, ay, az = reached
-    _, _, _, bw, bx, by, bz = target
-    w = aw * bw + ax * bx + ay * by + az * bz
-    x = ax * bw - aw * bx - ay * bz + az * by
-    y = ay * bw - aw * by - az * bx + ax * bz
-    z = az * bw - aw * bz - ax * by + ay * bx
-    return math.dist(reached[:3], target[:3]), 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), abs(w))
 
 
 _REACH_SLACK: Final = 1e-9
@@ -111,19 +100,7 @@ class URArm(Settings):
                 raise ValueError(f"{key}: must be within {_LONGEST_M:g} m, found {getattr(self, key)}")
         if len(set(self.joint_names)) != 6 or len(self.joint_names) != 6:
             raise ValueError(f"joint_names: must be 6 different names, found {list(self.joint_names)}")
-        for key, unit, limits in (
-            ("velocity_limits", "rad/s", self.velocity_limits),
-            ("torque_limits", "Nm", self.torque_limits),
-        ):
-            if min(limits) <= 0.0:
-                raise ValueError(f"{key}: must be above 0 {unit}, found {min(limits)}")
-        for joint, lower, upper, home in zip(
-            self.joint_names, self.joint_lower, self.joint_upper, self.home, strict=True
-        ):
-            if not lower < upper:
-                raise ValueError(f"joint_lower: must be below joint_upper for {joint}, found {lower} and {upper} rad")
-            if not lower <= home <= upper:
-                raise ValueError(f"home: must lie within {lower}…{upper} rad for {joint}, found {home}")
+        check_limits(self)
         return self
 
     @property
@@ -194,9 +171,8 @@ class URArm(Settings):
                     best, best_step, best_norm = joints, step, norm
         answer = np.array(best or near)
         answer.setflags(write=False)
-        position, rotation = _residuals(self._flange(best or near, math.cos, math.sin), target)
         reason = self._why_not(target, near, misses) if best is None else ""
-        return InverseResult(answer, position, rotation, best is not None, reason)
+        return InverseResult(answer, best is not None, reason)
 
     def inverse_batch(self, poses: ArrayLike, seeds: ArrayLike) -> Array:
         """Return for each of N poses (N, 7) in Base the joint angles that :meth:`inverse` finds from its seed (N, 6).

@@ -55,11 +55,6 @@ class Separation:
     required_m: Array
     speed_m_s: Array
 
-    @property
-    def worst(self) -> int:
-        """The sample with the least margin."""
-        return int((self.distance_m - self.required_m).argmin())
-
 
 def separation(scene: "Scene", joints: Array, times: Array, person: PersonNear) -> Separation:
     """Return the distances along joint angles (N, 6) [rad] at times (N,) [s], at least two.
@@ -99,7 +94,8 @@ class SeparationReport(ReportModel):
 
 def separation_report(found: Separation, seconds: list[float]) -> SeparationReport:
     """Return the report of distances at N times [s]."""
-    row, margin = found.worst, found.distance_m - found.required_m
+    margin = found.distance_m - found.required_m
+    row = int(margin.argmin())
     return SeparationReport(
         distance_m=float(found.distance_m[row]),
         required_m=float(found.required_m[row]),

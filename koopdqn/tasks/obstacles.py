@@ -137,7 +137,16 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
     items = found["obstacles"]
     if isinstance(items, list):
         found = {**found, "obstacles": [_beside(path, item) for item in items]}
-    return validate(plain(found), _File, "").obstacles
+    return checked_obstacles(found)
+
+
+def checked_obstacles(content: Any) -> tuple[Obstacle, ...]:
+    """Return the obstacles of a mapping with the key ``obstacles``, whose mesh files are read.
+
+    Raises:
+        BadInputError: an obstacle breaks a rule.
+    """
+    return validate(plain(content), _File, "").obstacles
 
 
 def _beside(path: Path, item: Any) -> Any:
@@ -157,7 +166,9 @@ def hull_of_file(path: Path) -> list[list[float]]:
     if not path.is_file():
         raise ValueError(f"file must name an STL or OBJ file, found no file {str(path)!r}")
     content = path.read_bytes()
-    if content.lstrip().startswith(b"solid") and b"facet" in content:
+    # A binary one may begin with the same word, but has its length from its number of triangles.
+    binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
+    if not binary and content.lstrip().startswith(b"solid") and b"facet" in content:
         # STL in text, which MuJoCo does not read.
         return _corners(np.array([each.split() for each in re.findall(rb"\bvertex\s+(.*)", content)], dtype=float))
     spec = mujoco.MjSpec()

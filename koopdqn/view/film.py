@@ -112,7 +112,7 @@ def film_frames(scene: Scene, learned: Motion, demonstrated: Motion, count: int)
     view = choose_view(scene, learned.joints, _PANEL)
     angle = scene.model.vis.global_.fovy
     lines = [view.pixels(motion.poses[:, pose.POSITION], _PANEL, angle) for motion in motions]
-    with Camera(scene, _PANEL) as camera:
+    with closing(Camera(scene, _PANEL)) as camera:
         for share in np.linspace(0.0, 1.0, count):
             frame = back.copy()
             for index, motion in enumerate(motions):

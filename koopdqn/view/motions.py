@@ -86,13 +86,7 @@ class Motion:
         frames = frames_of(len(self.poses))
         followed = frames[frames < len(self.joints)]
         return {
-            "name": self.name,
-            "kind": self.kind,
-            "remark": self.remark,
-            "fails": self.fails,
-            "start": self.start,
-            "run": self.run,
-            "colour": self.colour,
+            **{key: getattr(self, key) for key in ("name", "kind", "remark", "fails", "start", "run", "colour")},
             "frames": frames.tolist(),
             "path": rounded(self.poses[frames, pose.POSITION]),
             "links": [rounded(row.ravel()) for row in link_poses(workcell_scene, self.joints[followed])],

@@ -1,5 +1,6 @@
 """``koopdqn eval``: measure a trained run on held-out starts."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +70,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
-        *(["led around      obstacles that the policy never saw"] if trained.obstacles_added else []),
+        *(["led around      obstacles that the policy never saw"] if trained.led_around else []),
         table(report),
         *off(report, "the demonstrator's own path", continuous=config.agent.continuous),
         *_guarded(report["dynamics"]),
@@ -116,7 +117,7 @@ def _film(
     learned = learned_motion("a held-out start", drawn, workcell.task, references.get(id(drawn)))
     clear = workcell.without_obstacles().reachability
     shown = demonstrated_motions(demonstrations.items, clear, workcell.task, len(demonstrations))
-    pipeline.film(path, workcell.scene, learned, shown)
+    pipeline.film(path, workcell.scene, replace(learned, poses=drawn.in_world), shown)
 
 
 def table(report: dict[str, Any]) -> "Table":

@@ -16,6 +16,7 @@ from koopdqn.app.hydra.record import read_record
 from koopdqn.artifact import below, described, read_artifact, reading
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.errors import BadInputError
+from koopdqn.evaluation.correction import check_clear
 from koopdqn.files import read_json
 from koopdqn.intent.fit import agent_steps
 from koopdqn.intent.reward import IntentReward, RewardSettings
@@ -65,8 +66,13 @@ class TrainedRun:
     referred: bool
 
     @property
+    def led_around(self) -> bool:
+        """Whether obstacles stand in the way that the policy never saw, and it is led around them."""
+        return isinstance(self.policy, PolicyAround) and self.policy.policy.bend is None
+
+    @property
     def obstacles_added(self) -> bool:
-        """Whether obstacles stand in the scene that the policy never saw, and is led around."""
+        """Whether obstacles stand in the scene that the policy never saw."""
         return bool(self.workcell.task.obstacles) and not self.about["task"].get("obstacles")
 
 
@@ -74,7 +80,7 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     """Return the training in a folder.
 
     Raises:
-        BadInputError: a file is missing or damaged, or obstacles leave no way.
+        BadInputError: a file is missing or damaged, obstacles leave no way, or they stand in that of a corrected run.
     """
     policy, about = read_policy(source / POLICY, config.task, anywhere=True)
     demonstrations = pipeline.demonstrations_of(config, source)
@@ -84,7 +90,10 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     trajectories = agent_steps(demonstrations, config.task)
     reward = pipeline.reward_of(config, workcell, intent, trajectories)
     served, referred = around(policy, reward.model), config.derived is None
-    return TrainedRun(served, about, demonstrations, trajectories, intent, workcell, reward, limit, referred)
+    run = TrainedRun(served, about, demonstrations, trajectories, intent, workcell, reward, limit, referred)
+    if policy.bend is not None and run.obstacles_added:
+        check_clear(workcell, served, limit)
+    return run
 
 
 def feedback_of(config: Configuration, trained: TrainedRun, source: Path) -> Feedback:

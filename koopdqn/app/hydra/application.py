@@ -188,23 +188,19 @@ def run(
     return max((int(record["exit_status"]) for record in records), default=0)
 
 
-def _no_work(command: str, config: "DictConfig", folder: Path) -> CommandResult:
-    raise AssertionError(f"Hydra must only show the config of {command}")
-
-
-def show(command: str, options: Sequence[str], overrides: Sequence[str]) -> int:
+def show(options: Sequence[str], overrides: Sequence[str]) -> int:
     """Let Hydra print something about the config (``--cfg``, ``--info``, ``--hydra-help``) and run nothing.
 
     Raises:
         BadInputError: Hydra could not show it.
     """
-    job = Job(command, Path(), False, None, _no_work)
     messages = io.StringIO()
     # Hydra logs what it shows: of a reader that goes away (`| head`) every line would be told as an error.
     before, logging.raiseExceptions = logging.raiseExceptions, False
     try:
         with contextlib.redirect_stderr(messages):
-            _call_hydra(job, [*options, *overrides], check_folder=False)
+            # Hydra shows and calls nothing.
+            _call_hydra(lambda config: None, [*options, *overrides], check_folder=False)
     except SystemExit as stop:
         if stop.code:
             raise BadInputError(" ".join(messages.getvalue().split()) or "Hydra could not show this") from stop
@@ -215,34 +211,34 @@ def show(command: str, options: Sequence[str], overrides: Sequence[str]) -> int:
     return 0
 
 
-def _call_hydra(job: Job, arguments: Sequence[str], *, check_folder: bool) -> None:
+def _call_hydra(job: Callable[["DictConfig"], float | None], arguments: Sequence[str], *, check_folder: bool) -> None:
     import hydra
     from hydra.core.global_hydra import GlobalHydra
 
     GlobalHydra.instance().clear()
     register_resolver(check=check_folder)
-    before = sys.argv, sys.stderr, os.environ.get("HYDRA_FULL_ERROR")
+    argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
     log = logging.getLogger()
     handlers, level = log.handlers[:], log.level
     # hydra.main reads the command line itself, and with this variable lets errors through to the caller
     sys.argv = [sys.argv[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    # Hydra adds a line of its own for a failed job, which says nothing the error does not
-    sys.stderr = cast(TextIO, _WithoutHydraLine(sys.stderr))
     refused = False
     try:
-        hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=_CONFIG)(job)()
+        # Hydra adds a line of its own for a failed job, which says nothing the error does not
+        with contextlib.redirect_stderr(cast(TextIO, _WithoutHydraLine(sys.stderr))):
+            hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=_CONFIG)(job)()
     except BadInputError:
         refused = True
         raise
     finally:
-        sys.argv, sys.stderr = before[:2]
+        sys.argv = argv
         log.handlers[:] = handlers
         log.setLevel(level)
-        if before[2] is None:
+        if full is None:
             os.environ.pop("HYDRA_FULL_ERROR", None)
         else:
-            os.environ["HYDRA_FULL_ERROR"] = before[2]
+            os.environ["HYDRA_FULL_ERROR"] = full
         register_resolver(check=False)
         release_taken(refused=refused)
 

@@ -4,17 +4,16 @@ import contextlib
 import itertools
 import os
 import shutil
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from koopdqn.errors import BadInputError
-from koopdqn.run_folder import RECORD, check_plain, hold, release
+from koopdqn.run_folder import RECORD, check_plain, locked
 
 # Hydra writes it before it looks whether the first job's config can be composed, and writes it anew.
 _OF_A_SWEEP: Final = "multirun.yaml"
 
-_held: list[Path] = []
+_held: Final = contextlib.ExitStack()
 # Folders of default names that this process made, each with those above it that were not there either.
 _made: list[list[Path]] = []
 
@@ -30,14 +29,10 @@ def register_resolver(*, check: bool) -> None:
     """
     from omegaconf import OmegaConf
 
-    OmegaConf.register_new_resolver("per_task", _per_task, replace=True)
+    # Appendix 7.1 gives some tasks their own.
+    OmegaConf.register_new_resolver("per_task", lambda name, usual, others: others.get(name, usual), replace=True)
     for name, resolver in (("new_folder", _checked), ("free_folder", _taken)):
         OmegaConf.register_new_resolver(name, resolver if check else str, replace=True, use_cache=True)
-
-
-def _per_task(name: str, usual: Any, others: Mapping[str, Any]) -> Any:
-    # Appendix 7.1 gives some tasks their own.
-    return others.get(name, usual)
 
 
 def ensure_resolver() -> None:
@@ -103,8 +98,7 @@ def _checked(path: object) -> str:
         check_plain(record)
     require_writable(Path(text))
     # Before Hydra writes there: of two commands started at once the second must not touch the first one's record.
-    if hold(Path(text)):
-        _held.append(Path(text))
+    _held.enter_context(locked(Path(text)))
     return text
 
 
@@ -113,8 +107,7 @@ def release_taken(*, refused: bool) -> None:
 
     Of a command that was ``refused`` those of default names are removed where nothing but Hydra's record lies in them.
     """
-    while _held:
-        release(_held.pop())
+    _held.close()
     while _made:
         folder, *above = _made.pop()
         if not refused or not folder.is_dir() or {each.name for each in folder.iterdir()} - {RECORD.parent.name}:

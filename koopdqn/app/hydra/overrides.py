@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from koopdqn.app.command_table import COMMANDS
+from koopdqn.app.hydra.obstacles import obstacles_of, with_meshes_read
 from koopdqn.app.hydra.record import GROUPS, PATH_NAMES, Recorded, check_record, read_record, said_again
 from koopdqn.console import shown_path
 from koopdqn.errors import BadInputError
@@ -259,7 +260,9 @@ def _prepare_one(command: str, override: str) -> str:
     if name in GROUPS and (value == "null" or _NUMBER_OR_BOOLEAN.fullmatch(value)):
         raise BadInputError(f"{name}: must name an option, found {value}")
     if name == "obstacles":
-        return _obstacles(value)
+        return obstacles_of(Path(_unquoted(value)).expanduser())
+    if name.lstrip("+") == "task.obstacles" and "file" in value:
+        return with_meshes_read(override)
     own_keys = COMMANDS[command].own_keys
     if name == "goal" and name not in own_keys:
         raise BadInputError(
@@ -270,22 +273,6 @@ def _prepare_one(command: str, override: str) -> str:
     if name in (*PATH_KEYS, "import.pose") and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)
     return f"{name}{equals}{value}"
-
-
-def _obstacles(value: str) -> str:
-    """Return the override that holds the obstacles of a file themselves, so that a run's record needs no file."""
-    from koopdqn.artifact import described
-    from koopdqn.tasks.obstacles import read_obstacles
-
-    found = [described(each) for each in read_obstacles(Path(_unquoted(value)).expanduser())]
-    nodes = [",".join(f"{key}:{_grammar(held)}" for key, held in node.items() if key != "target") for node in found]
-    return f"++task.obstacles=[{','.join(f'{{{node}}}' for node in nodes)}]"
-
-
-def _grammar(value: object) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{','.join(_grammar(each) for each in value)}]"
-    return literal(value) if isinstance(value, str) else repr(value)
 
 
 def _is_list(value: str) -> bool:

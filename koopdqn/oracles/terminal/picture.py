@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import groupby
 from typing import Final
 
 import numpy as np
@@ -288,10 +289,5 @@ def sixel(image: Image) -> str:
 
 
 def _run_lengths(bits: np.ndarray) -> str:
-    starts = np.flatnonzero(np.diff(bits, prepend=-1))
-    lengths = np.diff(np.append(starts, len(bits)))
-    text = ""
-    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
-        character = chr(63 + int(bits[start]))
-        text += character * length if length < 4 else f"!{length}{character}"
-    return text
+    runs = ((chr(63 + bit), len(list(run))) for bit, run in groupby(bits.tolist()))
+    return "".join(sign * length if length < 4 else f"!{length}{sign}" for sign, length in runs)

@@ -38,14 +38,10 @@ class Region:
     """Where the picture goes.
 
     Attributes:
-        left: column of its left edge, from 0.
-        top: row of its upper edge, from 0.
         width: in characters; 0 where there is no room.
         rows: in characters.
     """
 
-    left: int
-    top: int
     width: int
     rows: int
 
@@ -57,8 +53,8 @@ def region(width: int, height: int, *, pictures: bool) -> Region:
     across = min(room, rows * 2 * _ASPECT[0] // _ASPECT[1])
     down = across * _ASPECT[1] // (2 * _ASPECT[0])
     if not pictures or across < _LEAST_PICTURE[0] or down < _LEAST_PICTURE[1]:
-        return Region(0, 1, 0, 0)
-    return Region(0, 1, across, down)
+        return Region(0, 0)
+    return Region(across, down)
 
 
 def framed(
@@ -260,7 +256,7 @@ class Window:
             colours = console.err()
             plain = colours.no_color or colours.color_system is None or not colours.encoding.startswith("utf")
             return block_lines(picture.image, place.width, place.rows, picture.marks, colour=not plain), ""
-        at = f"\x1b[{place.top + 1};{place.left + 1}H"
+        at = "\x1b[2;1H"
         if self._graphics == "kitty":
             return [], at + kitty(lettered(picture.image, picture.marks), place.width, place.rows)
         across, down = self.device.cell()
