@@ -264,13 +264,14 @@ def test_a_path_that_passes_itself_is_learned_measured_and_not_corrected(
     assert report["success_rate"] >= 0.95
     assert report["holdout"]["hausdorff_mm"]["policy"][0] < 20.0
     rows, explained = eight(0.004, 0), tmp_path / "explained"
-    pose_given = ",".join(f"{value:.6f}" for value in rows[250])
-    assert cli.main(["explain", f"run={run}", f"explain.pose=[{pose_given}]", f"out={explained}"]) == 0
-    told = json.loads((explained / "explain.json").read_text())
-    actions = told["actions"]
-    assert (told["leg"], told["legs"]) == (2, 2)
-    best = max(actions, key=lambda action: action["reward"])
-    assert (np.array(best["reached"][:3]) - rows[250, :3]) @ (rows[256, :3] - rows[250, :3]) > 0.0
+    # Well before the place where one leg gives way to the other, and well behind it.
+    for row, leg in ((100, 1), (300, 2)):
+        pose_given = ",".join(f"{value:.6f}" for value in rows[row])
+        assert cli.main(["explain", f"run={run}", f"explain.pose=[{pose_given}]", f"out={explained}-{leg}"]) == 0
+        told = json.loads(Path(f"{explained}-{leg}/explain.json").read_text())
+        assert (told["leg"], told["legs"]) == (leg, 2)
+        best = max(told["actions"], key=lambda action: action["reward"])
+        assert (np.array(best["reached"][:3]) - rows[row, :3]) @ (rows[row + 6, :3] - rows[row, :3]) > 0.0
     capsys.readouterr()
     assert cli.main(["correct", f"run={run}", "waypoints=[[0.45,0.0,0.4]]", f"out={tmp_path / 'corrected'}"]) == 2
     assert "must not pass itself" in capsys.readouterr().err

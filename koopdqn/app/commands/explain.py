@@ -141,7 +141,7 @@ def _given(config: Configuration, trained: TrainedRun, policy: Policy, feedback:
     """Return the state of a given pose (1, 7), which is on no path.
 
     What follows starts is placed by the held-out start that was asked for, else by the nominal one; of a path that
-    passes itself it is told as on the leg that is nearest.
+    passes itself it is told as on the leg whose demonstrations are nearest.
     """
     taken = trained.workcell.reachability.enter(given[0])
     if taken.joints is None:
@@ -154,7 +154,8 @@ def _given(config: Configuration, trained: TrainedRun, policy: Policy, feedback:
         start = _drawn(config, trained).starts[number : number + 1]
     legs = trained.workcell.task.legs(start[0])
     local = feedback.reward.model.start_frame.to_frame(np.repeat(given, len(legs), axis=0), legs)
-    start = legs[feedback.reward.trust.distance(local).argmin()][None]
+    # Without what answers have certified, which may reach from one leg to the next.
+    start = legs[trained.reward.trust.distance(local).argmin()][None]
     evaluation = feedback.evaluate_actions(given, np.array([0]), start)
     place = dict.fromkeys(("outcome", "detail", "steps", "step", "left_at", "off_path_mm"))
     told = {**place, "start": number, "why_step": "the pose was given"}
