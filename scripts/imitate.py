@@ -19,7 +19,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from imitation.inferred import Imitator
+from imitation.inferred import BestOf, Imitator
 from imitation.primitives import PRIMITIVES, Primitive, learn
 
 from koopdqn import console
@@ -136,9 +136,12 @@ def _learned(method: str, trained: Trained, questions: int) -> Imitator:
     noise = near if method == "cloning-noise" else None
     cloning = Cloning(trained.trajectories, config.task, agent, seed, frame, noise)
     if method == "hg-dagger":
-        return corrected(cloning, cell, seed, limit, questions)
-    cloning.update(UPDATES)
-    return Imitator(cloning.policy, cloning.updates)
+        return corrected(cloning, cell, seed, limit, questions, check=trained.check)
+    best = BestOf(trained.check)
+    while cloning.updates < UPDATES:
+        cloning.update(min(config.train.check_every, UPDATES - cloning.updates))
+        best.offer(cloning.policy)
+    return Imitator(best.offer(cloning.policy), cloning.updates)
 
 
 def _peer(method: str, trained: Trained) -> "Peer":

@@ -38,7 +38,16 @@ with suppress(ImportError):
 absl_logging.get_absl_handler().python_handler.setStream(sys.__stderr__)
 
 # A process for every file costs more than all else in these, the more so where coverage is counted.
-_READ_HERE = ("test_recording_arrays", "test_recording_cutting", "test_recording_ros", "test_recording_text")
+_READ_HERE = (
+    "test_csv",
+    "test_people_sets",
+    "test_reading",
+    "test_recording_arrays",
+    "test_recording_cutting",
+    "test_recording_joints",
+    "test_recording_ros",
+    "test_recording_text",
+)
 
 # Pictures are by the way in these, and take half of a small training's time; test_plots.py and others look at them.
 _UNDRAWN = (

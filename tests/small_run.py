@@ -14,3 +14,6 @@ SMALL = (
     "agent.episodes_at_once=16",
     "train.check_every=40",
 )
+
+# Where any policy will do: it counts as learned at its first check, whatever that finds.
+SOON = (*SMALL, "train.check_success=0.0", "train.checks_to_learn=1")

@@ -17,14 +17,14 @@ CHECKOUT = str(Path(cli.__file__).resolve().parent.parent.parent)
 QUESTION = "Was this right?"
 
 
-def error_without_terminal(*arguments: str, term: str) -> str:
+def error_without_terminal(*arguments: str) -> str:
     """Return the last line that ``koopdqn`` says where it has no terminal but needs one, having ended with status 2."""
     ended = subprocess.run(
         [sys.executable, "-m", "koopdqn", *arguments],
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        env={**os.environ, "TERM": term, "PYTHONPATH": CHECKOUT},
+        env={**os.environ, "TERM": "xterm", "PYTHONPATH": CHECKOUT},
         check=False,
     )
     assert ended.returncode == 2, ended.stderr

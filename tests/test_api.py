@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import hydra
 import numpy as np
 import pytest
-from small_run import SMALL
+from small_run import SMALL, SOON
 
 import koopdqn
 from koopdqn.app import api, cli
@@ -85,8 +85,8 @@ def test_short_names_are_taken_as_on_the_command_line(tmp_path: Path) -> None:
 
 
 def test_training_from_python_gives_the_networks_of_the_command_line(tmp_path: Path) -> None:
-    assert cli.main(["train", "task=shelf", *SMALL, f"out={tmp_path / 'run'}"]) in (0, 1)
-    config = koopdqn.load_config("task=shelf", *SMALL)
+    assert cli.main(["train", "task=shelf", *SOON, f"out={tmp_path / 'run'}"]) in (0, 1)
+    config = koopdqn.load_config("task=shelf", *SOON)
     demonstrations = koopdqn.generate(config)
     intent = koopdqn.fit(config, demonstrations)
     trained = koopdqn.train(config, demonstrations, intent)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from demos_file import unsealed
 from omegaconf import OmegaConf
-from small_run import SMALL
+from small_run import SMALL, SOON
 
 from koopdqn import console
 from koopdqn.app import cli
@@ -33,7 +33,7 @@ STAGE = re.compile(r"[A-Z][a-z ]+( \.\.\.|: done in .*)")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with demonstrations of two seeds, an intent and a finished run, all of the small task."""
     folder = tmp_path_factory.mktemp("made")
-    assert cli.main(["train", *SMALL, f"out={folder}/run", "--json"]) == 0
+    assert cli.main(["train", *SOON, f"out={folder}/run", "--json"]) == 0
     assert cli.main(["demo", *SMALL, f"out={folder}/other", "seed=1", "--json"]) == 0
     return folder
 

@@ -145,8 +145,12 @@ def test_good_values_arrive_unchanged(step: float, corner: list[float]) -> None:
     assert (settings.step_m, settings.corner_m) == (step, tuple(corner))
 
 
+_ANY = st.none() | st.booleans() | st.floats() | st.text() | st.lists(st.integers())
+
+
 @given(
-    st.dictionaries(st.text(max_size=6), st.none() | st.booleans() | st.floats() | st.text() | st.lists(st.integers()))
+    st.fixed_dictionaries({}, optional=dict.fromkeys(Task.model_fields, _ANY))
+    | st.dictionaries(st.text(max_size=6), _ANY)
 )
 def test_whatever_is_given_the_answer_is_settings_or_one_line(node: dict[str, object]) -> None:
     try:

@@ -43,7 +43,7 @@ from koopdqn.tasks.workcell import Workcell
 
 FEW = {"batch": 8, "replay": 600, "warm_up": 60, "episodes_at_once": 4, "updates_per_round": 4, "exploring_steps": 8}
 SHORT = {"check_every": 10, "max_steps": 900, "max_episodes": 200, "stop": "limit", "check_success": 1.0}
-SMALL = ("demo.count=2",)
+SMALL = ("demo.count=2", "intent.count=60")
 
 
 @pytest.fixture(scope="module")

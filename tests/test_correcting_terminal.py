@@ -107,7 +107,7 @@ def test_leaving_without_a_waypoint_leaves_nothing(learned: Path, tmp_path: Path
 
 def test_without_a_terminal_waypoints_must_be_given(learned: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    error = error_without_terminal("correct", f"run={learned}", f"out={folder}", term="xterm")
+    error = error_without_terminal("correct", f"run={learned}", f"out={folder}")
     assert "waypoints: standard input must be a terminal" in error
     assert "give waypoints=[[x,y,z],…] or waypoints=FILE" in error
     assert not [path.name for path in folder.glob("*") if not path.name.startswith(".")]

@@ -9,18 +9,19 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
-SHORT = ["demo.count=3", "train.max_steps=4000", "eval.episodes=3", "eval.dynamics=false", "eval.baselines=false"]
+SMALL = ["demo.count=3", "intent.count=60"]
+SHORT = [*SMALL, "train.max_steps=4000", "eval.episodes=3", "eval.dynamics=false", "eval.baselines=false"]
 CASES = [
     ("own_task.py", SHORT, "of 3 starts"),
     ("pouring.py", SHORT, "questions asked"),
     ("own_oracle.py", SHORT, "questions answered"),
     ("own_observables.py", ["demo.count=3"], "the default"),
-    ("own_environment.py", ["2000", "demo.count=3"], "success_rate"),
-    ("reward_in_another_loop.py", ["20", "demo.count=3"], "actions right"),
-    ("stable_baselines.py", ["DQN", "2000", "0", "demo.count=3"], "DQN after 2048 steps"),
-    ("stable_baselines.py", ["PPO", "4000", "0", "demo.count=3"], "PPO after 4096 steps"),
-    ("stable_baselines.py", ["SAC", "2000", "0", "demo.count=3"], "SAC after 2048 steps"),
-    ("skrl_double_dqn.py", ["2000", "0", "demo.count=3"], "double DQN after 1984 steps"),
+    ("own_environment.py", ["600", *SMALL], "success_rate"),
+    ("reward_in_another_loop.py", ["10", *SMALL], "actions right"),
+    ("stable_baselines.py", ["DQN", "2000", "0", *SMALL], "DQN after 2048 steps"),
+    ("stable_baselines.py", ["PPO", "4000", "0", *SMALL], "PPO after 4096 steps"),
+    ("stable_baselines.py", ["SAC", "2000", "0", *SMALL], "SAC after 2048 steps"),
+    ("skrl_double_dqn.py", ["2000", "0", *SMALL], "double DQN after 1984 steps"),
     ("sweep.py", ["SWEEP", "seed=0", "agent.gamma=0", *SHORT], "0: seed 0, learned"),
 ]
 

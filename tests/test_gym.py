@@ -37,7 +37,7 @@ from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.tasks.workcell import Workcell, open_workcell
 
-SMALL = ("demo.count=2",)
+SMALL = ("demo.count=2", "intent.count=60")
 LEARNING = FeedbackSettings(remember_m=0.01, remember_rad=0.05, extend=True, reach_m=0.07)
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 

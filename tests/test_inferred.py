@@ -1,15 +1,20 @@
 """Inferring actions from demonstrated poses."""
 
 import numpy as np
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from imitation.inferred import demonstrated_transitions
+from imitation.inferred import BestOf, demonstrated_transitions, labels
 
 from koopdqn import pose
+from koopdqn.app.api import generate, load_config
+from koopdqn.intent.fit import agent_steps
 from koopdqn.pose import Array
 from koopdqn.rl.network import observe
+from koopdqn.rl.policy import Policy, policy_network
 from koopdqn.tasks.actions import COUNT, excess, legal_actions, nearest_actions, reached_poses
 from koopdqn.tasks.shelf import ShelfTask
+from koopdqn.tasks.step import IN_PLACE, one_step
 
 seeds = st.integers(0, 10_000)
 
@@ -40,6 +45,33 @@ def test_no_legal_action_is_nearer_than_the_inferred_one(shelf_task: ShelfTask, 
         shelf_task,
     )
     np.testing.assert_array_equal(inferred, far.min(axis=1))
+
+
+def test_where_a_tool_turns_a_step_stands_for_what_an_action_can_do() -> None:
+    """People turn and move at once; Table 1 turns in place or on the way to the goal, so that nothing is near that."""
+    config = load_config("task=knife", "demo.count=2")
+    task, rows = config.task, agent_steps(generate(config), config.task)
+    before, after = (np.concatenate([path[part] for path in rows]) for part in (slice(None, -1), slice(1, None)))
+    room = pose.position_distance(before, task.goal)
+    scaled = one_step(before, after, task.goal, room, task.step_m, IN_PLACE * task.rotation_tolerance_rad)
+    told = labels(before, after, task)
+    reached = reached_poses(before, task)[np.arange(len(before)), told]
+    assert (excess(reached, scaled, task) <= 1.0).mean() > 0.99
+    raw = reached_poses(before, task)[np.arange(len(before)), nearest_actions(before, after, task)]
+    assert (excess(raw, after, task) <= 1.0).mean() < 0.9
+
+
+def test_of_policies_that_are_checked_the_latest_of_the_best_is_kept(shelf_task: ShelfTask) -> None:
+    scores = iter([0.5, 1.0, 1.0, 0.8])
+    best = BestOf(lambda policy: next(scores))
+    network = policy_network(shelf_task, load_config().agent.network, continuous=False)
+    kept = []
+    for number in range(4):
+        with torch.no_grad():
+            next(network.parameters()).fill_(number)
+        kept.append(best.offer(Policy(network, shelf_task)))
+    values = [float(next(iter(policy.network.parameters())).detach().flatten()[0]) for policy in kept]
+    assert values == [0.0, 1.0, 2.0, 2.0]
 
 
 def test_every_step_is_a_transition_and_each_demonstration_ends_once(

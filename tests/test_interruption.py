@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from small_run import SMALL
+from small_run import SOON
 
 from koopdqn import console
 from koopdqn.app import cli
@@ -30,7 +30,7 @@ def fresh_consoles() -> None:
 def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """SHA-256 of each result of a run that was never stopped."""
     folder = tmp_path_factory.mktemp("uninterrupted") / "run"
-    assert cli.main(["train", *SMALL, *LONGER, f"out={folder}", "--json"]) == 0
+    assert cli.main(["train", *SOON, *LONGER, f"out={folder}", "--json"]) == 0
     return digests(folder)
 
 
@@ -43,7 +43,7 @@ def stop(folder: Path, when: str, number: signal.Signals) -> subprocess.Complete
     checkout = str(Path(cli.__file__).resolve().parent.parent.parent)
     path = os.pathsep.join(filter(None, [checkout, os.environ.get("PYTHONPATH")]))
     process = subprocess.Popen(
-        [sys.executable, "-m", "koopdqn", "train", *SMALL, *LONGER, f"out={folder}"],
+        [sys.executable, "-m", "koopdqn", "train", *SOON, *LONGER, f"out={folder}"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -93,16 +93,16 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(
 
 def test_a_finished_run_goes_on_to_itself(uninterrupted: dict[str, str], tmp_path: Path) -> None:
     folder = tmp_path / "run"
-    assert cli.main(["train", *SMALL, "train.stop=limit", "train.extend=2", f"out={folder}", "--json"]) == 0
-    assert cli.main(["train", f"run={folder}", "train.extend=3", "--json"]) == 0
+    assert cli.main(["train", *SOON, "train.stop=limit", "train.extend=2", f"out={folder}", "--json"]) == 0
+    assert cli.main(["train", f"run={folder}", "train.extend=4", "--json"]) == 0
     assert digests(folder) == uninterrupted
-    assert cli.main(["train", f"run={folder}", "train.extend=3", "--json"]) == 0
+    assert cli.main(["train", f"run={folder}", "train.extend=4", "--json"]) == 0
     assert digests(folder) == uninterrupted
 
 
 def test_a_training_cut_short_by_a_limit_says_by_which(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "run"
-    assert cli.main(["train", *SMALL, f"out={folder}"]) == 0
+    assert cli.main(["train", *SOON, f"out={folder}"]) == 0
     assert "went on" not in capsys.readouterr().out
     reached = read_json(folder / "train.json", "training report")["env_steps"]
     limited = f"train.max_steps={reached + 1}"

@@ -63,7 +63,7 @@ ODD_VALUES: st.SearchStrategy[Any] = (
 @settings(max_examples=60)
 @given(data=st.data())
 @pytest.mark.parametrize("kind", ["intent", "policy"])
-def test_an_artifact_of_odd_content_is_refused(
+def test_an_artifact_of_odd_content_is_read_or_refused_in_one_line(
     intent: Path, policy: Path, shelf_task: ShelfTask, data: st.DataObject, kind: str
 ) -> None:
     source = {"intent": intent, "policy": policy}[kind]
@@ -100,6 +100,24 @@ def test_an_artifact_of_odd_content_is_refused(
     except BadInputError as error:
         text = str(error)
     assert len(text.splitlines()) <= 1
+
+
+@pytest.mark.parametrize("kind", ["intent", "policy"])
+def test_an_artifact_without_one_of_its_arrays_is_refused(
+    intent: Path, policy: Path, shelf_task: ShelfTask, kind: str
+) -> None:
+    source = {"intent": intent, "policy": policy}[kind]
+    readers: dict[str, Callable[[Path, ShelfTask], object]] = {"intent": read_intent, "policy": read_policy}
+    artifact = read_artifact(source, kind)
+    # Of a frame that changes nothing the file may hold nothing.
+    needed = [name for name in artifact.arrays if "frame" not in name]
+    assert len(needed) > 3
+    for name in needed:
+        path = source.with_name(f"less{source.suffix}")
+        arrays = {other: values for other, values in artifact.arrays.items() if other != name}
+        write_artifact(path, replace(artifact, arrays=arrays))
+        with pytest.raises(BadInputError, match=str(path)):
+            readers[kind](path, shelf_task)
 
 
 def test_a_policy_whose_settings_are_large_makes_no_large_network(policy: Path, shelf_task: ShelfTask) -> None:

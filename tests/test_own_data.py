@@ -17,6 +17,17 @@ from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.recordings.load import load
 from koopdqn.demonstrations.recordings.recording import NOTHING
 
+LITTLE = (
+    "intent.count=40",
+    "intent.copies=2",
+    "agent.network.hidden=[32]",
+    "agent.network.fourier_features=32",
+    "agent.warm_up=500",
+    "train.check_every=20",
+    "train.max_steps=700",
+)
+"""A training of which nothing is asked but that it ends."""
+
 
 @pytest.fixture
 def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -97,8 +108,7 @@ def test_that_the_arm_cannot_follow_what_is_held_out_is_told(logs: Path, capsys:
 
 
 def test_training_and_evaluation_from_a_single_set_of_files(logs: Path, printed: Printed) -> None:
-    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
-    assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)
+    assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *LITTLE]) in (0, 1)
     report = printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")
     assert report["path_deviation_mm"] == dict.fromkeys(("mean", "max", "p95_of_max", "frechet"))
     holdout = report["holdout"]
@@ -112,11 +122,10 @@ def test_what_was_declared_of_files_is_not_said_of_the_runs_own_copy(logs: Path,
     table = np.column_stack([item.times, item.poses])
     table[:, 1:4] *= 1e3
     np.savetxt(logs / "mm.csv", table, delimiter=",", header="t,x,y,z,qw,qx,qy,qz", comments="")
-    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
     declared = ("import.units=mm", "demos=mm.csv")
-    assert cli.main(["train", "task=demonstrated", *declared, "out=run", *short]) in (0, 1)
+    assert cli.main(["train", "task=demonstrated", *declared, "out=run", *LITTLE]) in (0, 1)
     assert printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")["episodes"] == 2
-    assert cli.main(["train", "run=run", "train.max_steps=4000"]) in (0, 1)
+    assert cli.main(["train", "run=run", "train.max_steps=800"]) in (0, 1)
 
 
 @pytest.mark.parametrize("spike", [[0.2, 0.0, 0.0], [-0.45, 0.1, -0.5]])
@@ -143,8 +152,7 @@ def test_a_bad_sample_bends_nothing_and_is_told(
 def test_a_run_keeps_the_samples_that_it_was_made_from(
     logs: Path, printed: Printed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
-    assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *short]) in (0, 1)
+    assert cli.main(["train", "task=demonstrated", "demos=log_*.csv", "out=run", *LITTLE]) in (0, 1)
     fewer = "koopdqn.app.commands.demonstrated.without_outliers"
     monkeypatch.setattr(fewer, lambda item: replace(item, times=item.times[:-9], poses=item.poses[:-9]))
     assert printed("eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false")["episodes"] == 2
@@ -153,8 +161,7 @@ def test_a_run_keeps_the_samples_that_it_was_made_from(
 def test_a_run_whose_task_is_made_otherwise_today_is_evaluated_with_its_own(
     logs: Path, printed: Printed, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    short = ("intent.count=40", "agent.warm_up=500", "train.check_every=20", "train.max_steps=3000")
-    given = ("task=demonstrated", "demos=log_*.csv", "out=run", "task.step_m=0.0025", *short)
+    given = ("task=demonstrated", "demos=log_*.csv", "out=run", "task.step_m=0.0025", *LITTLE)
     assert cli.main(["train", *given]) in (0, 1)
     record = logs / "run" / ".hydra" / "overrides.yaml"
     record.write_text("".join(line for line in record.read_text().splitlines(keepends=True) if "step_m" not in line))

@@ -193,7 +193,8 @@ def test_the_command_line_chooses_and_checks_it(override: str, expected: str | N
     from koopdqn.app.hydra.compose import composed
 
     if expected is None:
-        Configuration.load(composed([override]))
+        person = Configuration.load(composed([override])).task.person
+        assert override in (f"person={person.name}", f"person.look_ahead_m={getattr(person, 'look_ahead_m', None)}")
         return
     with pytest.raises(BadInputError) as caught:
         Configuration.load(composed([override]))

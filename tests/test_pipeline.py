@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from parts import load_parts
-from small_run import SMALL
+from small_run import SMALL, SOON
 
 from koopdqn.app import cli
 from koopdqn.artifact import described, read_artifact, write_artifact
@@ -22,7 +22,7 @@ EVALUATING = ("eval.episodes=3", "eval.dynamics=false", "eval.baselines=false")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose record no longer says what today's defaults say otherwise, as after a change of the defaults."""
     folder = tmp_path_factory.mktemp("runs") / "run"
-    given = ["task=shelf", *SMALL, "task.lip_m=0.012", "robot.step_seconds=0.3", "reward.goal=2.0"]
+    given = ["task=shelf", *SOON, "task.lip_m=0.012", "robot.step_seconds=0.3", "reward.goal=2.0"]
     assert cli.main(["train", *given, f"out={folder}"]) in (0, 1)
     record = (folder / RECORD).read_text(encoding="utf-8").splitlines(keepends=True)
     left = [line for line in record if not any(key in line for key in ("lip_m", "step_seconds", "reward.goal"))]
@@ -101,7 +101,7 @@ def test_what_the_command_line_changes_stays_changed(
 def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run as it was begun, with a checkpoint."""
     folder = tmp_path_factory.mktemp("begun") / "run"
-    assert cli.main(["train", *SMALL, f"out={folder}"]) in (0, 1)
+    assert cli.main(["train", *SOON, f"out={folder}"]) in (0, 1)
     return folder
 
 

@@ -119,7 +119,7 @@ def test_it_is_the_argmax_of_the_values_on_the_observation_alone(parts: Parts) -
     values = network.values(observe(poses, parts.task))
     np.testing.assert_array_equal(policy(poses, poses), values.argmax(axis=1))
     assert policy(poses, poses).shape == (50,)
-    assert len(set(policy(poses[:1], poses[:1]).tolist())) == 1
+    assert policy(poses[:1], poses[:1]) == policy(poses[:1], poses[7:8])
 
 
 def test_the_same_policy_gives_the_same_bytes(path: Path, parts: Parts) -> None:

@@ -20,7 +20,7 @@ from helpers_training import (
 )
 from parts import Clerk, Parts
 from questions import question
-from small_run import SMALL
+from small_run import SOON
 
 from koopdqn.app import cli
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
@@ -349,7 +349,7 @@ def test_a_wrong_setting_is_told(
 
 def test_a_command_that_asks_at_episodes_ends_is_replayed_to_the_byte(tmp_path: Path) -> None:
     asking = ("trust=box", "trust.sigmas=0.8", "feedback.reach_m=0.006")
-    command = ["train", *SMALL, *asking, "oracle.ask=episode", "oracle.gather_most=4", "--json"]
+    command = ["train", *SOON, *asking, "oracle.ask=episode", "oracle.gather_most=4", "--json"]
     one, two, other = (tmp_path / name for name in ("one", "two", "other"))
     journal = one / "feedback.jsonl"
     assert cli.main([*command, f"out={one}"]) == 0

@@ -59,7 +59,7 @@ def test_hdf5_of_another_task_is_refused_unless_any_will_do(folder: Path) -> Non
 
 @pytest.mark.parametrize(
     ("source", "words"),
-    [("none_*.csv", "none that match"), ("none.csv", "found nothing"), (".", "found")],
+    [("none_*.csv", "none that match"), ("none.csv", "found nothing"), (".", "found something else")],
 )
 def test_what_names_no_file_is_refused(folder: Path, source: str, words: str) -> None:
     with pytest.raises(BadInputError, match=words):

@@ -1,5 +1,5 @@
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -186,7 +186,8 @@ ASKED_STEPS: list[tuple[int, np.ndarray]] = []
 
 
 def test_trust_is_asked_of_reached_poses_one_step_later(reward: IntentReward, trajectories: list[Array]) -> None:
-    recording = _Recording(**{name: getattr(reward.trust, name) for name in reward.trust.__dataclass_fields__})
+    names = [each.name for each in fields(reward.trust)]
+    recording = _Recording(**{name: getattr(reward.trust, name) for name in names})
     ASKED_STEPS.clear()
     IntentReward(reward.task, reward.model, recording, SIGN).evaluate_actions(
         trajectories[0][[3, 40]], np.array([3, 40])

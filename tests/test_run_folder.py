@@ -133,10 +133,10 @@ def test_a_lock_ends_with_its_process(run: Path, number: signal.Signals) -> None
 
 
 def test_of_many_processes_one_gets_the_lock(run: Path) -> None:
-    code = HOLD.replace("sys.stdin.readline()", "time.sleep(0.3)")
     processes = [
         subprocess.Popen(
-            [sys.executable, "-c", code, str(run)],
+            [sys.executable, "-c", HOLD, str(run)],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             text=True,
@@ -144,6 +144,9 @@ def test_of_many_processes_one_gets_the_lock(run: Path) -> None:
         )
         for _ in range(4)
     ]
-    said = [process.communicate()[0] for process in processes]
-    assert "held\n" in said
+    # Whoever has it keeps it until all others have said what became of them.
+    said = [process.stdout.readline() for process in processes if process.stdout is not None]
+    for process in processes:
+        process.communicate("\n")
+    assert sorted(said) == ["", "", "", "held\n"]
     assert [process.returncode == 0 for process in processes] == [out == "held\n" for out in said]

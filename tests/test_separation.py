@@ -65,7 +65,10 @@ def test_speed_is_that_toward_the_person() -> None:
 
 def test_the_report_is_of_the_worst_moment() -> None:
     joints, times = motion()
-    report = separation_report(separation(shelf().scene, joints, times, PERSON), times.tolist())
+    found = separation(shelf().scene, joints, times, PERSON)
+    report, margin = separation_report(found, times.tolist()), found.distance_m - found.required_m
+    assert report.margin_m == pytest.approx(margin.min())
+    assert report.seconds == times[margin.argmin()]
+    assert report.kept_fraction == pytest.approx((margin >= 0).mean())
     assert report.margin_m == pytest.approx(report.distance_m - report.required_m)
     assert (report.kept_fraction < 1) == (report.margin_m < 0)
-    assert 0.0 <= report.seconds <= 2.0

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from terminal_session import CHECKOUT
@@ -14,7 +15,8 @@ if sys.platform == "win32":
     pytest.skip("needs a POSIX terminal", allow_module_level=True)
 import termios
 
-from koopdqn.oracles.terminal.device import Device, _single
+from koopdqn.errors import BadInputError
+from koopdqn.oracles.terminal.device import Device, _single, require_terminal
 
 RESTORED = re.compile(rb"\x1b\[\?25h\x1b\[\?1049l")
 PROGRAM = """
@@ -140,3 +142,13 @@ class Pieces(Device):
 def test_an_arrow_that_comes_in_pieces_is_one_key() -> None:
     device = Pieces("d\x1b", "[", "D", "k", "\x1b", "", "n")
     assert [device.keys(0.0) for _ in range(4)] == [["d", "←"], ["k"], [], ["n"]]
+
+
+@pytest.mark.parametrize("kind", ["", "dumb", "unknown"])
+def test_a_terminal_that_cannot_draw_is_refused(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    tty = SimpleNamespace(isatty=lambda: True)
+    monkeypatch.setattr(sys, "stdin", tty)
+    monkeypatch.setattr(sys, "stderr", tty)
+    monkeypatch.setenv("TERM", kind)
+    with pytest.raises(BadInputError, match="TERM must name a terminal to draw on"):
+        require_terminal("oracle=terminal", "answer otherwise")

@@ -1,5 +1,6 @@
 """Behavioural cloning from observation: the action that a demonstrated step stands for, as a classification."""
 
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Final
 
@@ -7,13 +8,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from imitation.inferred import demonstrated_steps
+from imitation.inferred import demonstrated_steps, labels
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.rl.network import QNetwork, observe, size
 from koopdqn.rl.policy import Policy
 from koopdqn.rl.settings import AgentSettings
-from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.start_frame import STILL, StartFrame
 from koopdqn.tasks.task import Task
 
@@ -31,7 +31,7 @@ class Noise:
 
     Attributes:
         position_m: standard deviation along each axis at right angles to the motion [m].
-        rotation_rad: of a turn about each axis, where orientation is learned [rad].
+        rotation_rad: of a turn toward the goal's orientation or away from it, where orientation is learned [rad].
     """
 
     position_m: float
@@ -47,7 +47,7 @@ class Cloning:
     demonstrated pose (cf. Ke et al. 2021; DART, Laskey et al. 2017, disturbs the person who demonstrates instead).
 
     Attributes:
-        policy: the argmax of the network as it is now.
+        policy: the argmax of the network's average over its last updates, as the default's is.
         updates: made so far.
         labels: actions that an expert said are right, and the observations in which they are.
     """
@@ -66,11 +66,12 @@ class Cloning:
         self._task, self._frame, self._noise, self._batch = task, frame, noise, agent.batch
         self._before, self._after, self._starts, _ = demonstrated_steps(trajectories, task)
         self._observations = self._observe(self._before, self._starts)
-        self._actions = nearest_actions(self._before, self._after, task)
+        self._actions = labels(self._before, self._after, task)
         network = QNetwork(size(task), agent.network, weights)
         network.normalise_to(self._observations)
+        self._network, self._rate = network, agent.target_rate
         self._optimizer = torch.optim.Adam(network.parameters(), lr=agent.learning_rate)
-        self.policy = Policy(network, task, frame)
+        self.policy = Policy(deepcopy(network), task, frame)
         self.updates = 0
         self.labels: list[tuple[np.ndarray, int]] = []
 
@@ -82,10 +83,13 @@ class Cloning:
         """Make a number of updates."""
         for _ in range(count):
             observations, actions = map(torch.from_numpy, self._drawn())
-            loss = nn.functional.cross_entropy(self.policy.network(observations), actions)
+            loss = nn.functional.cross_entropy(self._network(observations), actions)
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it untyped
             self._optimizer.step()
+            with torch.no_grad():
+                averaged: list[torch.Tensor] = list(self.policy.network.parameters())
+                torch._foreach_lerp_(averaged, list(self._network.parameters()), self._rate)
         self.updates += count
 
     def _observe(self, poses: Array, starts: Array) -> np.ndarray:
@@ -97,7 +101,7 @@ class Cloning:
         if self._noise:
             strewn = self._strewn(rows, self._noise)
             observations = self._observe(strewn, self._starts[rows])
-            actions = nearest_actions(strewn, self._after[rows], self._task)
+            actions = labels(strewn, self._after[rows], self._task)
         if self.labels:
             few = self._batches.integers(len(self.labels), size=round(_LABELLED * self._batch))
             said, right = map(np.array, zip(*self.labels, strict=True))
@@ -115,5 +119,7 @@ class Cloning:
         position = poses[:, pose.POSITION] + offset
         if self._task.orientation == "held":
             return pose.make(position, poses[:, pose.QUATERNION])
-        turn = pose.from_rotation_vector(self._batches.normal(scale=noise.rotation_rad, size=motion.shape))
-        return pose.make(position, pose.multiply(poses[:, pose.QUATERNION], turn))
+        # As the default strews: ahead in its turn, or behind; Table 1 turns no other way.
+        turn = self._batches.normal(scale=noise.rotation_rad, size=len(poses))
+        goal = np.broadcast_to(self._task.goal[pose.QUATERNION], (len(poses), 4))
+        return pose.make(position, pose.turned_toward(poses[:, pose.QUATERNION], goal, turn))

@@ -1,12 +1,14 @@
 """HG-DAgger (Kelly et al. 2019): behavioural cloning, corrected by an expert who takes over where it goes wrong."""
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
 from imitation.cloning import UPDATES, Cloning
-from imitation.inferred import Imitator
+from imitation.inferred import BestOf, Imitator
 from koopdqn.pose import Array
+from koopdqn.rl.policy import Policy
 from koopdqn.tasks.actions import nearest_actions, reached_poses, within_tolerance
 from koopdqn.tasks.rollout import roll_out
 from koopdqn.tasks.task import demonstrator_next_poses
@@ -26,6 +28,7 @@ def corrected(
     questions: int,
     updates: int = UPDATES,
     updates_per_label: int = 100,
+    check: Callable[[Policy], float] = lambda policy: 0.0,
 ) -> Imitator:
     """Return what cloning learns from the scripted person as the expert, who labels a limited number of states.
 
@@ -43,11 +46,16 @@ def corrected(
         questions: labels at most.
         updates: of cloning before the first episode.
         updates_per_label: after each.
+        check: says how good a policy is; of those after each label, and before the first, the latest of the best is
+            returned.
     """
     reachability, task, rng = workcell.reachability, workcell.task, np.random.default_rng([seed, _STREAM])
     cloning.update(updates)
+    best = BestOf(check)
+    learned = best.offer(cloning.policy)
 
     def act(poses: Array, starts: Array) -> np.ndarray:
+        nonlocal learned
         actions = cloning.policy(poses, starts)
         if len(cloning.labels) == questions:
             return actions
@@ -57,6 +65,7 @@ def corrected(
         right = nearest_actions(poses, wished, task)
         cloning.label(poses, starts, int(right[0]))
         cloning.update(updates_per_label)
+        learned = best.offer(cloning.policy)
         return right
 
     env_steps = 0
@@ -65,4 +74,4 @@ def corrected(
             break
         starts, joints, _ = reachability.draw_starts(task, rng, 1)
         env_steps += roll_out(act, task, reachability, starts, joints, step_limit)[0].steps
-    return Imitator(cloning.policy, cloning.updates, env_steps, len(cloning.labels))
+    return Imitator(learned, cloning.updates, env_steps, len(cloning.labels))

@@ -1,9 +1,12 @@
 """What imitating begins with, the actions that demonstrated poses stand for, and what it ends with."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from koopdqn import pose
 from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
 from koopdqn.rl.network import observe
@@ -11,6 +14,7 @@ from koopdqn.rl.policy import Policy
 from koopdqn.rl.replay_buffer import Transitions
 from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.start_frame import STILL, StartFrame
+from koopdqn.tasks.step import IN_PLACE, one_step
 from koopdqn.tasks.task import Task
 
 
@@ -29,6 +33,39 @@ class Imitator:
     updates: int
     env_steps: int = 0
     questions: int = 0
+
+
+class BestOf:
+    """Keeps, of policies that are checked on the way, the latest of the best, as the default's training does.
+
+    Attributes:
+        policy: that one; None before the first check.
+    """
+
+    def __init__(self, check: Callable[[Policy], float]) -> None:
+        """Begin without a policy; ``check`` says how good one is."""
+        self.policy: Policy | None = None
+        self._check, self._score = check, -np.inf
+
+    def offer(self, policy: Policy) -> Policy:
+        """Check a policy as it is now, and return the best so far."""
+        found = self._check(policy)
+        if self.policy is None or found >= self._score:
+            self.policy, self._score = replace(policy, network=deepcopy(policy.network)), found
+        return self.policy
+
+
+def labels(before: Array, wished: Array, task: Task) -> np.ndarray:
+    """Return the actions (M,) of Table 1 that the way from poses (M, 7) to wished ones (M, 7) stands for.
+
+    They are the nearest as greedy and the reward measure it: to the wished pose scaled to what an action can do, since
+    Table 1 turns in place or on its way to the goal and no other way (D4).
+    """
+    if task.orientation == "learned":
+        room = pose.position_distance(before, task.goal)
+        turn = IN_PLACE * task.rotation_tolerance_rad
+        wished = one_step(before, wished, task.goal, room, task.step_m, turn)
+    return nearest_actions(before, wished, task)
 
 
 def demonstrated_steps(trajectories: list[Array], task: Task) -> tuple[Array, Array, Array, np.ndarray]:
@@ -61,7 +98,7 @@ def demonstrated_transitions(trajectories: list[Array], task: Task, frame: Start
     count = len(before)
     return Transitions(
         observations=observe(frame.to_frame(before, starts), task),
-        actions=nearest_actions(before, after, task),
+        actions=labels(before, after, task),
         rewards=np.zeros(count, dtype=np.float32),
         next_observations=observe(frame.to_frame(after, starts), task),
         # The next step is the first of another demonstration, or there is none.

@@ -1,13 +1,12 @@
 """SQIL (Reddy et al. 2019) on the agent's DQN: demonstrated steps are rewarded, its own are not."""
 
 from collections.abc import Callable
-from copy import deepcopy
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from imitation.inferred import Imitator, demonstrated_transitions
+from imitation.inferred import BestOf, Imitator, demonstrated_transitions
 from koopdqn.intent.reward import NO_ANSWER, RULE
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import Learner
@@ -83,21 +82,19 @@ class Sqil:
             check: says how good a policy is; of the best the latest is returned.
             check_every: updates between two checks; there is one more at the end.
         """
-        agent, rounds, best, score = self._agent, 0, self._policy(), -np.inf
+        agent, rounds, best = self._agent, 0, BestOf(check)
         while self.env_steps < actions:
             self._round()
             due = self.env_steps >= agent.warm_up and rounds % agent.rounds_per_update == 0
             for _ in range(agent.updates_per_round if due else 0):
                 self.learner.update(self.batch())
-                if self.learner.updates % check_every == 0 and (found := check(self._policy())) >= score:
-                    best, score = self._policy(), found
+                if self.learner.updates % check_every == 0:
+                    best.offer(self._policy())
             rounds += 1
-        if check(self._policy()) >= score:
-            best = self._policy()
-        return Imitator(best, self.learner.updates, self.env_steps)
+        return Imitator(best.offer(self._policy()), self.learner.updates, self.env_steps)
 
     def _policy(self) -> Policy:
-        return Policy(deepcopy(self.learner.policy_network), self._workcell.task, self._frame)
+        return Policy(self.learner.policy_network, self._workcell.task, self._frame)
 
     def batch(self) -> Batch:
         """Return a batch for an update: as many demonstrated steps as the agent's batch, then as many of its own."""

@@ -70,7 +70,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     plot_evaluation(folder / "eval.png", evaluation, demonstrations, config.task, image)
     lines: list[RenderableType] = [
         f"measured run    {console.shown_path(source)}",
-        *(["led around      obstacles that the policy never saw"] if trained.led_around else []),
+        *(f"{how:<14}  {what}" for how, what in trained.beside),
         table(report),
         *off(report, "the demonstrator's own path", continuous=config.agent.continuous),
         *_guarded(report["dynamics"]),

@@ -144,8 +144,11 @@ def _begin(config: Configuration, folder: Path) -> None:
                 f" {config.train.threads}: sums in another order end in other bits"
             )
         if (folder / DEMONSTRATIONS).exists():
-            # Earlier versions wrote down the threads alone.
-            check_begun(folder, read_json(path, "the beginning").get("made_with", made_with), made_with, config.robot)
+            # Earlier versions wrote down the threads alone; what came from files is named no longer, but kept.
+            was = read_json(path, "what the run was begun with").get("made_with")
+            if was is not None:
+                same = {name: each for name, each in made_with.items() if name in was}
+                check_begun(folder, was, same, config.robot)
             return
     write_json(path, {"threads": config.train.threads, "made_with": made_with})
 
@@ -197,8 +200,10 @@ def _learn(
 
         try:
             trainer.run(on_check, on_round)
-        finally:
+        except BaseException:
             record_once_taken()
+            raise
+        record_continued()
 
 
 def _progress(trainer: Trainer, check: Check | None) -> str:

@@ -66,9 +66,13 @@ class TrainedRun:
     referred: bool
 
     @property
-    def led_around(self) -> bool:
-        """Whether obstacles stand in the way that the policy never saw, and it is led around them."""
-        return isinstance(self.policy, PolicyAround) and self.policy.policy.bend is None
+    def beside(self) -> list[tuple[str, str]]:
+        """A remark, in two parts, if obstacles stand in the scene that the policy never saw."""
+        if not self.obstacles_added:
+            return []
+        if isinstance(self.policy, PolicyAround) and self.policy.policy.bend is None:
+            return [("led around", "obstacles that the policy never saw")]
+        return [("among", "obstacles that the policy never saw, none of them in its way")]
 
     @property
     def obstacles_added(self) -> bool:
@@ -91,7 +95,7 @@ def read_trained(config: Configuration, source: Path) -> TrainedRun:
     reward = pipeline.reward_of(config, workcell, intent, trajectories)
     served, referred = around(policy, reward.model), config.derived is None
     run = TrainedRun(served, about, demonstrations, trajectories, intent, workcell, reward, limit, referred)
-    if policy.bend is not None and run.obstacles_added:
+    if run.obstacles_added and policy.bend is not None:
         check_clear(workcell, served, limit)
     return run
 

@@ -74,7 +74,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
             f"run {console.shown_path(source)}",
             f"{len(run.demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
             f"rule: {config.task.rule}",
-            *(["led around obstacles that the policy never saw"] if run.led_around else []),
+            *(" ".join(remark) for remark in run.beside),
             *(f"{motion.name}: {motion.remark}" for motion in learned if motion.fails),
         ),
         cell.scene,
