@@ -344,7 +344,7 @@ def test_a_run_goes_on_from_its_own_copies_of_its_inputs(
     first = tmp_path / "first"
     shutil.copytree(made / "run", first)
     inputs = [f"demos={first}/demos.hdf5", f"intent={first}/intent.npz"]
-    assert cli.main(["train", *SMALL, *inputs, "train.max_steps=1000", "out=run"]) == 1
+    assert cli.main(["train", *SOON, *inputs, "train.max_steps=700", "out=run"]) == 1
     shutil.rmtree(first)
     assert cli.main(["train", "run=run", "train.max_steps=1000000"]) == 0
     assert Path("run/policy.safetensors").read_bytes() == (made / "run" / "policy.safetensors").read_bytes()

@@ -12,6 +12,7 @@ from koopdqn.intent.fit import Fitted, agent_steps, fit, sixty_samples, unmatche
 from koopdqn.intent.koopman import koopman_rows
 from koopdqn.intent.model import IntentSettings
 from koopdqn.intent.observables import SecondOrder
+from koopdqn.intent.validation import length_ratio
 from koopdqn.paths import to_count
 from koopdqn.pose import Array
 from koopdqn.tasks.start_frame import STILL
@@ -148,6 +149,21 @@ def test_of_a_single_demonstration_a_model_is_fitted_and_nothing_measured(
     start = agent_steps(single, parts.task)[0][:1]
     end = found.model.roll_out(start, 400, parts.task.step_m)[-1]
     assert pose.position_distance(end, parts.task.goal)[0] < 5e-3
+
+
+def test_the_models_way_is_measured_in_metres_and_not_in_steps(
+    fitted: Fitted, trajectories: list[Array], parts: Parts
+) -> None:
+    class Slow:
+        """Moves by half a step at a time, as where it turns as well."""
+
+        def roll_out(self, starts: Array, limit: int, step: float) -> Array:
+            path = fitted.model.roll_out(starts, limit, step)
+            return np.repeat(path, 2, axis=0)
+
+    whole, slow = (length_ratio(model, trajectories, parts.task) for model in (fitted.model, Slow()))  # type: ignore[arg-type]
+    assert slow == pytest.approx(whole, rel=1e-9)
+    assert whole == pytest.approx(1.0, abs=0.1)
 
 
 def test_coverage_is_measured_on_fresh_demonstrations(parts: Parts, demonstrations: Demonstrations) -> None:

@@ -118,6 +118,10 @@ def test_the_fraction_until_safe_counts_the_last_unsafe_pose() -> None:
     assert TASK.measures(path, 0.02)["fraction_until_safe"] == 0.75
     assert TASK.measures(path[3:], 0.02)["fraction_until_safe"] == 0.0
     assert TASK.measures(path[:3], 0.02)["fraction_until_safe"] == 1.0
+    # A share of the way: turning on the spot takes steps and comes no nearer.
+    standing = path.copy()
+    standing[:4, :3] = path[1, :3]
+    assert TASK.measures(standing, 0.02)["fraction_until_safe"] == 0.0
 
 
 @given(share=st.lists(st.floats(0, 1), min_size=2, max_size=10).map(sorted))

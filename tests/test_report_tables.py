@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from koopdqn.demonstrations.dataset import Demonstrations
     from koopdqn.report.runs import Groups, Presets, Run
 
-ABLATION = {"overrides": ["intent=line"], "learned": True, "episodes": 10, "oracle_queries": 3}
-ABLATION |= {"success_rate": 0.5, "deviation_mm": None}
+ABLATION = {"learned": True, "episodes": 10, "oracle_queries": 3, "success_rate": 0.5, "deviation_mm": None}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory, parts: "Parts", demonstrati
     for seed in range(2):
         write_run(root / f"run{seed}", parts, first(demonstrations, 2), seed)
     write_evaluation(root / "eval", parts, str(root / "run0"))
-    rows = [{"case": "shelf", "variant": "line", "seed": seed, **ABLATION} for seed in range(2)]
+    given: dict[str, dict[str, str]] = {"default": {}, "line": {"intent": "line"}}
+    rows = [
+        {"case": "shelf", "variant": name, "seed": seed, "settings": {"train": {"task": "shelf", **more}}, **ABLATION}
+        for name, more in given.items()
+        for seed in range(2)
+    ]
     write_json(root / "ablations" / "ablations.json", rows)
     return root
 
@@ -113,6 +117,17 @@ def test_what_was_not_measured_is_said(groups: "Groups", tmp_path: Path) -> None
     assert isinstance(missing, MissingPart)
     assert missing.command == "make ablations"
     assert isinstance(tables.intents({}), MissingPart)
+
+
+def test_an_ablation_is_told_by_what_it_changes(folder: Path) -> None:
+    for file in (folder / "ablations" / "ablations.json", Path(__file__).parents[1] / "docs" / "ablations.json"):
+        table = tables.ablations(file)
+        assert isinstance(table, Table)
+        changed = {row[0].text: row[1].text for row in table.rows}
+        assert changed["shelf, default"] == "nothing"
+        others = [text for name, text in changed.items() if not name.endswith(", default")]
+        assert others
+        assert all("=" in text and "task=" not in text for text in others)
 
 
 def test_damaged_ablations_are_bad_input(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from parts import load_parts
 
 from koopdqn import pose
 from koopdqn.intent.box import Box, BoxSettings
-from koopdqn.intent.fit import Fitted
+from koopdqn.intent.fit import Fitted, path_coverage
 from koopdqn.intent.trust import COMPONENTS, calibrate
 from koopdqn.pose import Array
 from koopdqn.tasks.shelf import ShelfTask
@@ -54,6 +54,14 @@ def drawn_around(shown: list[Array], chosen: BoxSettings, signs: list[Array] | N
     box = chosen.fit(shown, signs or all_right(shown), FRAME)
     assert isinstance(box, Box)
     return box
+
+
+def test_whole_paths_are_covered_as_the_domain_matches_steps() -> None:
+    shown = lines([-0.004, 0.0, 0.004])
+    # The same way, but later: at each step elsewhere than the demonstrations were.
+    late = np.concatenate([np.repeat(shown[1][:1], 5, axis=0), shown[1][:-5]])
+    assert path_coverage(domain("any"), [shown[1], late]) == 1.0
+    assert path_coverage(domain("step"), [shown[1], late]) == 0.5
 
 
 def at(x: float, y: float = 0.0, z: float = 0.0, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:

@@ -83,16 +83,16 @@ class CorrectionFile(ReportModel):
     stretch_m: list[float] = Field(description="(2,) where the corrected stretch begins and ends along the path [m]")
     moved_mm: float = Field(description="largest distance by which the path was moved")
     missed_mm: float = Field(description="largest distance of a waypoint from the corrected path")
-    followed_mean_mm: float = Field(
-        description="mean distance of the corrected path from the way shown, in the stretch"
+    followed_mean_mm: float | None = Field(
+        description="mean distance of the corrected path from the way shown, in the stretch; null if no pose lies there"
     )
-    followed_max_mm: float = Field(description="largest of these distances")
-    before_mean_mm: float = Field(
-        description="mean distance of the corrected path from the learned one before the stretch"
+    followed_max_mm: float | None = Field(description="largest of these distances")
+    before_mean_mm: float | None = Field(
+        description="mean distance of the corrected path from the learned one before the stretch, null likewise"
     )
-    before_max_mm: float = Field(description="largest of these distances")
-    behind_mean_mm: float = Field(description="the same behind the stretch")
-    behind_max_mm: float = Field(description="largest of these distances")
+    before_max_mm: float | None = Field(description="largest of these distances")
+    behind_mean_mm: float | None = Field(description="the same behind the stretch")
+    behind_max_mm: float | None = Field(description="largest of these distances")
     seconds: float = Field(description="how long it took, without the time in which a person showed the way")
 
 

@@ -1,7 +1,7 @@
 """A policy measured on held-out starts and demonstrations: the content of ``eval.json``."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -132,7 +132,8 @@ def evaluate(
         dynamics=_dynamics(workcell, reward, policy, episodes, settings, guard, advance) if settings.dynamics else None,
         baselines=Baselines(**baselines) if settings.baselines else None,
         holdout=holdout,
-        **dict(_measured(workcell, reward, episodes, references)),
+        # A corrected path is trusted along its correction, as the guard of its execution holds it too.
+        **dict(_measured(workcell, replace(reward, trust=tube_of(policy, reward.trust)), episodes, references)),
     )
     return Evaluation(report.model_dump(mode="json"), episodes, compared, held_out or references or [])
 

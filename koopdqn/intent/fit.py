@@ -119,7 +119,8 @@ def _trusted_right(reward: IntentReward, trajectories: list[Array]) -> float | N
 
 def path_coverage(domain: TrustDomain, trajectories: list[Array]) -> float:
     """Return the share of pose trajectories (N, 7) that a domain's shape contains from end to end."""
-    return float(np.mean([bool((domain.distance(rows) <= 1.0).all()) for rows in trajectories]))
+    inside = (domain.shape_contains(rows, np.arange(len(rows)))[0].all() for rows in trajectories)
+    return float(np.mean(list(inside)))
 
 
 def sampled_at(trajectories: list[Array], task: Task) -> Task:

@@ -200,7 +200,8 @@ def length_ratio(model: IntentModel, trajectories: list[Array], task: Task) -> f
     paths = model.roll_out(starts, limit, task.step_m)
     there = pose.position_distance(paths, task.goal) <= task.goal_tolerance_m
     steps = np.where(there.any(axis=0), there.argmax(axis=0), limit)
-    ways = [task.step_m * count for count in steps]
+    # Not their number: a step that turns goes less far.
+    ways = [arc_lengths(paths[: count + 1, row, pose.POSITION])[-1] for row, count in enumerate(steps)]
     return float(np.median(np.array(ways) / [_way_to_goal(trajectory, task) for trajectory in trajectories]))
 
 

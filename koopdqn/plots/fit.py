@@ -57,12 +57,11 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
                 upper.set_xlabel("")
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
-        # What was unfolded is drawn where it lies.
-        unfolding = frame.unfolding
-        shown = [rows[:, pose.POSITION] for rows in (trajectories if unfolding is None else recorded)]
+        # All is drawn where it lies, not as told from one start or unfolded.
+        shown = [rows[:, pose.POSITION] for rows in recorded]
         rollouts = [
-            (path if unfolding is None else unfolding.laid(path))[:, pose.POSITION]
-            for path in _roll_outs(fitted, trajectories, task)
+            (frame.from_frame(path, rows[:1], path) if frame.unfolding is None else frame.unfolding.laid(path))[:, :3]
+            for path, rows in zip(_roll_outs(fitted, trajectories, task), recorded, strict=True)
         ]
         trust = fitted.trust.drawn(frame)
         planes = style.two_planes(shown)
@@ -85,30 +84,26 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
 
 
 def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: float, room: float) -> None:
-    """Draw mean and largest error per step, the compare tolerance and what the paper reports.
+    """Draw mean and largest error per step and the compare tolerance.
 
     Errors and tolerance are of a kind, "m" or "rad", and shown in millimetres or degrees by a scale. The vertical axis
     reaches ``room`` times higher than what is drawn, for the legend.
     """
     unit = {"m": "mm", "rad": "°"}[kind]
-    lines = [(tolerance * scale, style.INK, "--", "compare tolerance")]
-    paper = fitted.report["sixty_samples"]["paper_max_m"] if kind == "m" else None
-    if paper is not None:
-        lines.append((paper * scale, style.GREY, ":", "largest in the paper"))
+    limit = tolerance * scale
     per_step = fitted.report[f"one_step_error_per_step_{kind}"]
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
     shade(axes, ~fitted.trust.known, len(mean))
     axes.plot(mean, color=style.BLUE, label="mean over demonstrations")
     axes.plot(largest, color=style.SKY, linewidth=1.0, label="largest")
-    for value, colour, dashes, meaning in lines:
-        axes.axhline(value, color=colour, linestyle=dashes, linewidth=1.2, label=f"{meaning}: {value:.3g} {unit}")
+    axes.axhline(limit, color=style.INK, linestyle="--", linewidth=1.2, label=f"compare tolerance: {limit:.3g} {unit}")
     axes.set_xlim(0, len(mean))
     # The worst few errors are cut off rather than flattening the rest.
-    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), max(line[0] for line in lines)))
+    axes.set_ylim(0, room * max(float(np.quantile(largest, 0.95)), limit))
     axes.set(xlabel="step of the demonstration", ylabel=f"one-step error [{unit}]")
     handles, labels = axes.get_legend_handles_labels()
     # In the panel of turns only what the panel above it does not say.
-    first = 0 if kind == "m" else -len(lines)
+    first = 0 if kind == "m" else -1
     axes.legend(handles[first:], labels[first:], loc="upper center", ncols=3 if kind == "m" else 2)
 
 

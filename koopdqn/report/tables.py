@@ -274,7 +274,9 @@ def evaluation(groups: Groups) -> Table | MissingPart:
         methods = {"": f"{task}, {preset} preset: learned policy"} if found else {}
         if found and all(content["baselines"] is not None for _, content in found):
             names = Baselines.model_fields
-            methods |= {f"baselines.{name}.": f"{task}: {name.replace('_', ' ')}, no learning" for name in names}
+            # Of a preset too: greedy and argmax are of its own intent and reward.
+            of = f"{task}, {preset} preset"
+            methods |= {f"baselines.{name}.": f"{of}: {name.replace('_', ' ')}, no learning" for name in names}
         for place, title in methods.items():
             rows.append((Cell(title), *(quantity.over(found, place) for quantity in _EVALUATION)))
     if not rows:
@@ -294,6 +296,8 @@ _ABLATED: Final = (
 def ablations(file: Path) -> Table | MissingPart:
     """Return the table of ``ablations.json``, a row a case and variant, or what makes it.
 
+    What a variant changes is what it was trained with and the default of its case was not.
+
     Raises:
         BadInputError: the file is damaged.
     """
@@ -306,11 +310,14 @@ def ablations(file: Path) -> Table | MissingPart:
     try:
         for run in found:
             variants.setdefault((run["case"], run["variant"]), []).append((file, run))
+        own = {(run["case"], run["seed"]): run["settings"]["train"] for run in found if run["variant"] == "default"}
         for place, runs in variants.items():
             learned = f"{sum(bool(run['learned']) for _, run in runs)} of {len(runs)}"
-            changed = " ".join(f"`{item}`" for item in runs[0][1]["overrides"]) or "nothing"
+            first = runs[0][1]
+            given, default = first["settings"]["train"], own.get((place[0], first["seed"]), {})
+            changed = [f"`{name}={value}`" for name, value in given.items() if default.get(name) != value]
             cells = (quantity.over(runs) for quantity in _ABLATED)
-            rows.append((Cell(", ".join(place)), Cell(changed), Cell(learned, [file]), *cells))
+            rows.append((Cell(", ".join(place)), Cell(" ".join(changed) or "nothing"), Cell(learned, [file]), *cells))
     except (KeyError, TypeError) as error:
         rule = "must hold one row a run as `make ablations` writes them"
         raise BadInputError(f"{file} {rule}, found: {error!r}") from error

@@ -7,6 +7,7 @@ import numpy as np
 from pydantic import Field, Strict, model_validator
 
 from koopdqn import pose
+from koopdqn.paths import arc_lengths
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Metres3, Settings, Vector3
 from koopdqn.tasks.task import Task
@@ -23,6 +24,8 @@ CLOTH = (0.25, 0.35, 0.55, 1.0)
 SKIN = (0.85, 0.66, 0.53, 1.0)
 # Lines along the blade, from edge to spine; the least of their distances to the receiver is the blade's.
 _BLADE_LINES = 5
+# A path shorter than this [m] goes nowhere.
+_NO_WAY_M = 1e-9
 
 
 class Limb(Settings):
@@ -128,7 +131,9 @@ class KnifeTask(Task):
         """Return the blade's final angle, share of the path until safe, least distance to the receiver and speed."""
         angle = self.blade_angle(path)
         unsafe = np.flatnonzero(angle > self.safe_angle_rad)
-        until = 0.0 if not len(unsafe) else (unsafe[-1] + 1) / (len(path) - 1)
+        # Of the way, not of the steps: where the tool turns in place nothing comes nearer.
+        way = arc_lengths(path[:, pose.POSITION])
+        until = way[min(unsafe[-1] + 1, len(path) - 1)] / max(way[-1], _NO_WAY_M) if len(unsafe) else 0.0
         tip = np.array([0.0, 0.0, self._blade_ends[1]]) + 0.5 * self.blade_height_m * np.array(self.edge)
         points = path[:, pose.POSITION] + pose.rotate(path[:, pose.QUATERNION], tip)
         return {

@@ -113,10 +113,10 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     lines = [
         f"corrected       {console.shown_path(source)}",
         f"stretch         {first:.3f} to {last:.3f} m along the path, moved by up to {report['moved_mm']:.1f} mm",
-        f"followed        {report['followed_mean_mm']:.1f} mm off the way shown on average,"
-        f" {report['followed_max_mm']:.1f} mm at most",
-        f"elsewhere       {report['before_max_mm']:.1f} mm off the learned path at most before the stretch,"
-        f" {report['behind_max_mm']:.1f} mm behind it",
+        f"followed        {_said(report['followed_mean_mm'])} mm off the way shown on average,"
+        f" {_said(report['followed_max_mm'])} mm at most",
+        f"elsewhere       {_said(report['before_max_mm'])} mm off the learned path at most before the stretch,"
+        f" {_said(report['behind_max_mm'])} mm behind it",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / NAME)}",
         *(
@@ -146,9 +146,13 @@ def _again(source: Path, waypoints: str) -> str:
     return shlex.join([*program(), "correct", *own_options(), *given])
 
 
-def _mean_mm(distances: Array) -> float:
-    return float(distances.mean()) * 1e3 if len(distances) else 0.0
+def _mean_mm(distances: Array) -> float | None:
+    return float(distances.mean()) * 1e3 if len(distances) else None
 
 
-def _max_mm(distances: Array) -> float:
-    return float(distances.max(initial=0.0)) * 1e3
+def _max_mm(distances: Array) -> float | None:
+    return float(distances.max()) * 1e3 if len(distances) else None
+
+
+def _said(millimetres: float | None) -> str:
+    return "–" if millimetres is None else f"{millimetres:.1f}"

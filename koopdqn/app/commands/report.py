@@ -163,8 +163,9 @@ def _reasons(left_out: Sequence[LeftOut]) -> str:
 
 
 def _ablations(settings: ReportSettings) -> Path:
-    folders = [*settings.runs, RUNS]
-    files = [folder / ABLATIONS / f"{ABLATIONS}.json" for folder in folders]
+    name = f"{ABLATIONS}.json"
+    # In a checkout `make ablations` keeps its results with the documentation.
+    files = [*(folder / ABLATIONS / name for folder in [*settings.runs, RUNS]), Path("docs") / name]
     return next((file for file in files if file.is_file()), files[-1])
 
 
