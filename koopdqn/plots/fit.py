@@ -57,19 +57,21 @@ def plot_fit(path: Path, fitted: Fitted, demonstrations: Demonstrations, task: T
                 upper.set_xlabel("")
         _eigenvalues(figure.add_subplot(grid[0, 4:] if measured else grid[:, 4:]), fitted)
         row = 1 if measured else slice(None)
-        # All is drawn where it lies, not as told from one start or unfolded.
-        shown = [rows[:, pose.POSITION] for rows in recorded]
+        # What was unfolded is drawn where it lies; paths that follow their starts, as the trust domain has them.
+        unfolding = frame.unfolding
+        shown = [rows[:, pose.POSITION] for rows in (trajectories if unfolding is None else recorded)]
         rollouts = [
-            (frame.from_frame(path, rows[:1], path) if frame.unfolding is None else frame.unfolding.laid(path))[:, :3]
-            for path, rows in zip(_roll_outs(fitted, trajectories, task), recorded, strict=True)
+            (path if unfolding is None else unfolding.laid(path))[:, pose.POSITION]
+            for path in _roll_outs(fitted, trajectories, task)
         ]
+        begun = "as told from one start" if frame.follows else "from each start"
         trust = fitted.trust.drawn(frame)
         planes = style.two_planes(shown)
         for place, plane in zip((grid[row, :2], grid[row, 2:4]), planes, strict=True):
             axes = figure.add_subplot(place)
             corners = _tube(axes, trust, plane)
             _paths(axes, plane, shown, rollouts, corners, task)
-            axes.set_title(f"Rolled out from each start, from {style.VIEWS[plane]}")
+            axes.set_title(f"Rolled out {begun}, from {style.VIEWS[plane]}")
             if plane == planes[0]:
                 figure.legend(handles=_path_handles(axes, fitted.trust), loc="outside lower center", ncols=6)
         if not measured:
