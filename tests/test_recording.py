@@ -167,7 +167,7 @@ def test_what_came_before_the_start_mark_is_dropped(recorder: Recorder) -> None:
 
 def test_a_move_that_the_arm_cannot_make_changes_nothing_and_says_why(workcell: Workcell, parts: Parts) -> None:
     recorder = Recorder(workcell, parts.demo, 0)
-    for key, reason in (("g", "collision: "), ("f", "unreachable: ")):
+    for key, reason in (("g", "collision: "), ("f", "collision: pedestal_plate with ")):
         press(recorder, "b" if recorder.state.moves else "")
         for _ in range(200):
             before = recorder.state

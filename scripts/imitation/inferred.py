@@ -49,9 +49,10 @@ class BestOf:
 
     def offer(self, policy: Policy) -> Policy:
         """Check a policy as it is now, and return the best so far."""
+        policy = replace(policy, network=deepcopy(policy.network))
         found = self._check(policy)
         if self.policy is None or found >= self._score:
-            self.policy, self._score = replace(policy, network=deepcopy(policy.network)), found
+            self.policy, self._score = policy, found
         return self.policy
 
 
