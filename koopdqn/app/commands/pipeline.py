@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from koopdqn.robot.scene import Scene
     from koopdqn.view.motions import Motion
 
-_SHORT = 0.8
+_SHORT = 0.7
 """A model's way that is so much shorter than the demonstrations leaves part of them out; people's that do not come back
-over the same place are at 0.92 and more."""
+over the same place are at 0.82 and more."""
 
 
 def declared(config: Configuration) -> ImportSettings:
