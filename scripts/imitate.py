@@ -137,11 +137,11 @@ def _learned(method: str, trained: Trained, questions: int) -> Imitator:
     cloning = Cloning(trained.trajectories, config.task, agent, seed, frame, noise)
     if method == "hg-dagger":
         return corrected(cloning, cell, seed, limit, questions, check=trained.check)
-    best = BestOf(trained.check)
+    best, learned = BestOf(trained.check), cloning.policy
     while cloning.updates < UPDATES:
         cloning.update(min(config.train.check_every, UPDATES - cloning.updates))
-        best.offer(cloning.policy)
-    return Imitator(best.offer(cloning.policy), cloning.updates)
+        learned = best.offer(cloning.policy)
+    return Imitator(learned, cloning.updates)
 
 
 def _peer(method: str, trained: Trained) -> "Peer":

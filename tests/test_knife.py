@@ -122,6 +122,8 @@ def test_the_fraction_until_safe_counts_the_last_unsafe_pose() -> None:
     standing = path.copy()
     standing[:4, :3] = path[1, :3]
     assert TASK.measures(standing, 0.02)["fraction_until_safe"] == 0.0
+    # What never becomes safe is unsafe all the way, however short that is.
+    assert TASK.measures(standing[:3], 0.02)["fraction_until_safe"] == 1.0
 
 
 @given(share=st.lists(st.floats(0, 1), min_size=2, max_size=10).map(sorted))

@@ -13,7 +13,7 @@ from koopdqn.app.api import load_config
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.evaluation.correction import CorrectionSettings, Followed, along, check_clear, in_base, in_frame, played
-from koopdqn.intent.bend import Bend, BentIntent
+from koopdqn.intent.bend import Bend, BentIntent, BentTrust
 from koopdqn.pose import Array
 from koopdqn.rl.dqn import Learner
 from koopdqn.rl.network import size
@@ -142,6 +142,11 @@ def test_the_guards_tube_goes_with_a_correction() -> None:
     now = was.through(was.path[[len(was.path) // 2]] + np.array([[0.0, 0.0, 0.08]]))
     corrected = PolicyAround(_Twisted(now), now)
     made, trust = played(shelf(), corrected, LIMIT), taught().trust
+    # Also where the intent has meanwhile been led around something that the correction does not pass.
+    elsewhere = BentTrust.of(trust, was.through(was.path[[len(was.path) // 2]] + np.array([[0.0, -0.1, 0.0]])))
+    assert np.array_equal(
+        tube_of(corrected, elsewhere).distance(made.poses), tube_of(corrected, trust).distance(made.poses)
+    )
     own, moved = (Guard(shelf(), load_config().guard, each) for each in (trust, tube_of(corrected, trust)))
     refused = own.review(made.poses, made.joints)
     assert refused is not None

@@ -205,13 +205,13 @@ def evaluate(
         BadInputError: demonstrations, intent or policy are of another task, or the policy has other actions; the scene
             does not compile; hardly any start of the region can be taken; or obstacles leave no way.
     """
+    from koopdqn.rl.policy import around
+
     taken = "continuous" if trained.policy.continuous else "table1"
     if taken != config.inputs.actions:
         raise BadInputError(f"actions: must be those of the policy, {taken}, found {config.inputs.actions}")
     if trained.policy.task.name != config.task.name:
         raise BadInputError(f"the policy must be of task {config.task.name}, found task {trained.policy.task.name}")
-    from koopdqn.rl.policy import around
-
     workcell = open_workcell(config)
     reward = _reward_around_obstacles(config, workcell, demonstrations, fitted)
     return evaluate_policy(

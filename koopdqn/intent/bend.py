@@ -204,6 +204,10 @@ class BentTrust(TrustDomain):
         """Return a domain bent."""
         return cls(base.settings, base.right, base.doubt, base.balls, base, bend)
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the base's arrays; the bend is never stored."""
+        return self.base.arrays()
+
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the base contains the straightened poses (N, 7), and the doubt (N,) there."""
         return self.base.shape_contains(self.bend.straightened(poses), steps)

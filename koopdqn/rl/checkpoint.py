@@ -76,9 +76,14 @@ def read_checkpoint(
 
 
 def check_begun(folder: Path, began: dict[str, Any], now: dict[str, Any], arm: Arm) -> None:
-    """Raise BadInputError if the run of a folder ``began`` with another config of some parts than it has ``now``."""
+    """Raise BadInputError if the run of a folder ``began`` with another config of some parts than it has ``now``.
+
+    What one of them lacks does not count: demonstrations may be made, given, or those that the folder keeps.
+    """
     with reading(f"run {folder}: what it was begun with"):
-        differing = _differing(began, now, arm)
+        both = began.keys() & now.keys()
+        was, same = ({name: held[name] for name in both} for held in (began, now))
+        differing = _differing(was, same, arm)
     if differing:
         raise _goes_on_otherwise(folder, differing)
 

@@ -169,7 +169,9 @@ def tube_of(policy: Controller, trust: TrustDomain) -> TrustDomain:
     """Return the trust domain along the path that a policy takes: an intent's goes with a person's correction."""
     if not isinstance(policy, PolicyAround) or policy.policy.bend is None:
         return trust
-    return BentTrust.of(trust, policy.bend)
+    # A correction made where nothing stood goes before what leads the intent around obstacles.
+    own = trust.base if isinstance(trust, BentTrust) and not policy.policy.task.obstacles else trust
+    return BentTrust.of(own, policy.bend)
 
 
 def policy_network(task: Task, settings: NetworkSettings, *, continuous: bool) -> QNetwork:

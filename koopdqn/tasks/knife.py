@@ -131,9 +131,10 @@ class KnifeTask(Task):
         """Return the blade's final angle, share of the path until safe, least distance to the receiver and speed."""
         angle = self.blade_angle(path)
         unsafe = np.flatnonzero(angle > self.safe_angle_rad)
+        safe_from = int(unsafe[-1]) + 1 if len(unsafe) else 0
         # Of the way, not of the steps: where the tool turns in place nothing comes nearer.
         way = arc_lengths(path[:, pose.POSITION])
-        until = way[min(unsafe[-1] + 1, len(path) - 1)] / max(way[-1], _NO_WAY_M) if len(unsafe) else 0.0
+        until = 1.0 if safe_from == len(path) else way[safe_from] / max(way[-1], _NO_WAY_M)
         tip = np.array([0.0, 0.0, self._blade_ends[1]]) + 0.5 * self.blade_height_m * np.array(self.edge)
         points = path[:, pose.POSITION] + pose.rotate(path[:, pose.QUATERNION], tip)
         return {

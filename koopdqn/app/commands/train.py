@@ -119,7 +119,7 @@ def _check_threads(config: Configuration) -> None:
     report = None if journal is None else Path(journal).parent / TRAINING
     if report is None or not report.is_file():
         return
-    recorded = _threads_in(report, "the training report")
+    recorded = _held_in(report, "the training report").get("threads")
     if recorded not in (None, config.train.threads):
         raise BadInputError(
             f"train.threads: must be that of the run whose journal is given again ({shown(recorded)}, {report}), found"
@@ -137,25 +137,24 @@ def _begin(config: Configuration, folder: Path) -> None:
     if not config.inputs.demos and config.derived is None:
         made_with["demo"] = described(config.demo)
     if path.exists():
-        recorded = _threads_in(path, "what the run was begun with")
+        held = _held_in(path, "what the run was begun with")
+        recorded = held.get("threads")
         if isinstance(recorded, bool) or recorded != config.train.threads:
             raise BadInputError(
                 f"train.threads: must be {shown(recorded)}, with which the run in {folder} was begun, found"
                 f" {config.train.threads}: sums in another order end in other bits"
             )
         if (folder / DEMONSTRATIONS).exists():
-            # Earlier versions wrote down the threads alone; what came from files is named no longer, but kept.
-            was = read_json(path, "what the run was begun with").get("made_with")
-            if was is not None:
-                same = {name: each for name, each in made_with.items() if name in was}
-                check_begun(folder, was, same, config.robot)
+            # Earlier versions wrote down the threads alone.
+            if "made_with" in held:
+                check_begun(folder, held["made_with"], made_with, config.robot)
             return
     write_json(path, {"threads": config.train.threads, "made_with": made_with})
 
 
-def _threads_in(path: Path, what: str) -> Any:
+def _held_in(path: Path, what: str) -> dict[str, Any]:
     content = read_json(path, what)
-    return content.get("threads") if isinstance(content, dict) else None
+    return content if isinstance(content, dict) else {}
 
 
 def _learn(
