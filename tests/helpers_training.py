@@ -9,12 +9,10 @@ from parts import Clerk, Parts
 
 from koopdqn.intent.reward import IntentReward
 from koopdqn.intent.tube import Tube
-from koopdqn.oracles.base import Oracle
+from koopdqn.oracles.base import Asking, Oracle
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
-from koopdqn.rl.human_reward import Budget
-from koopdqn.rl.questions import Asking
 from koopdqn.tasks.workcell import Workcell
 
 UNCHECKED = {"check_every": 10**6}
@@ -43,7 +41,6 @@ def small_trainer(
     agent: dict[str, Any] | None = None,
     train: dict[str, Any] | None = None,
     feedback: dict[str, Any] | None = None,
-    budget: Budget = Budget(),  # noqa: B008 (frozen)
     asking: Asking = Asking(),  # noqa: B008 (frozen)
 ) -> Trainer:
     """Return a trainer of a second or two, with some settings changed.
@@ -60,7 +57,6 @@ def small_trainer(
         parts.train.model_copy(update={**_TRAIN, **(train or {})}),
         seed,
         parts.feedback.model_copy(update=feedback or {}),
-        budget,
         asking,
     )
 
@@ -76,7 +72,7 @@ def assert_spends_its_budget(make: Callable[..., Trainer], clerk: Clerk, when_sp
     """Train with a budget of five questions, check that they are all that is asked, and return the trainer."""
     trainer = make(
         clerk,
-        budget=Budget(5, when_spent),  # type: ignore[arg-type]  # one of the literals
+        asking=Asking(budget=5, when_spent=when_spent),  # type: ignore[arg-type]  # one of the literals
         feedback=FORGETFUL,
         train={"max_steps": 300, "max_episodes": 60, **UNCHECKED},
     )

@@ -21,9 +21,9 @@ from koopdqn.intent import detour as planning
 from koopdqn.intent.bend import Bend, BentIntent
 from koopdqn.intent.detour import around_obstacles, detour
 from koopdqn.intent.reward import IntentReward
-from koopdqn.oracles.base import Question
+from koopdqn.oracles.base import Asking, Question
 from koopdqn.rl.checks import History
-from koopdqn.rl.human_reward import Budget, Feedback
+from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import Policy, PolicyAround
 from koopdqn.settings import load_settings
 from koopdqn.tasks.obstacles import Obstacle, hull_of_file, read_obstacles
@@ -74,7 +74,9 @@ def test_the_scripted_person_would_go_around_obstacles(asked: str, monkeypatch: 
         reward, feedback = parts.reward, Feedback(parts.reward, parts.oracle, PARTS.feedback)
     else:
         _, reward = _among()
-        feedback = Feedback(reward, Clerk(lambda question: False), PARTS.feedback, Budget(0, "scripted"))
+        asking = Asking(budget=1, when_spent="scripted")
+        feedback = Feedback(reward, Clerk(lambda question: False), PARTS.feedback, asking)
+        feedback.questions = 1
     start = reward.task.nominal_start
     path = reward.model.intended_paths(start[None], 800, reward.task.step_m)[:, 0]
     said = []

@@ -24,7 +24,7 @@ from small_run import SOON
 
 from koopdqn.app import cli
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, IntentReward
-from koopdqn.oracles.base import Answer, Earlier, Oracle, Place, Question
+from koopdqn.oracles.base import Answer, Asking, Earlier, Oracle, Place, Question
 from koopdqn.oracles.file import question_object
 from koopdqn.oracles.journal import read_records
 from koopdqn.oracles.replay import JournalledOracle, ReplayOracle
@@ -34,7 +34,7 @@ from koopdqn.oracles.terminal.screen import Shown, compose
 from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
-from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
+from koopdqn.rl.questions import OpenAttempt, PutOffQuestions, answered, question_about
 from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.tasks.workcell import Workcell
 
@@ -49,7 +49,7 @@ def make(parts: Parts, workcell: Workcell, reward: IntentReward, trajectories: l
     """Make a small trainer whose model is trusted nowhere and that asks at the end of episodes."""
 
     def trainer(oracle: Oracle | None = None, **changes: Any) -> Trainer:
-        changes = {"train": {"max_steps": 300, **UNCHECKED}, "asking": Asking("episode", 10), **changes}
+        changes = {"train": {"max_steps": 300, **UNCHECKED}, "asking": Asking(ask="episode", gather_most=10), **changes}
         return small_trainer(parts, workcell, untrusting(reward), trajectories, oracle, **changes)
 
     return trainer
@@ -140,7 +140,7 @@ def test_a_no_is_stored_as_wrong_and_what_it_led_to_is_dropped(make: Make) -> No
 def test_without_stepping_back_a_no_drops_nothing(make: Make) -> None:
     clerk = Clerk(lambda asked: False)
     agent = {"trials": "chosen", "step_back": False, "bootstrap_undone": True}
-    trainer = make(clerk, feedback=FORGETFUL, agent=agent, asking=Asking("episode", 4))
+    trainer = make(clerk, feedback=FORGETFUL, agent=agent, asking=Asking(ask="episode", gather_most=4))
     trainer.run()
     sizes = [len(group) for group in by_episode(clerk.asked)]
     assert max(sizes) == 4
@@ -163,7 +163,7 @@ def test_a_skip_stores_nothing_and_the_next_is_asked(make: Make) -> None:
 @pytest.mark.parametrize("most", [1, 3])
 def test_so_many_questions_end_an_episode(make: Make, most: int) -> None:
     clerk = Clerk()
-    trainer = make(clerk, feedback=FORGETFUL, asking=Asking("episode", most))
+    trainer = make(clerk, feedback=FORGETFUL, asking=Asking(ask="episode", gather_most=most))
     trainer.run()
     assert {len(group) for group in by_episode(clerk.asked)} >= {most}
     assert max(trainer.history.lengths) == most
@@ -204,10 +204,10 @@ def test_only_questions_that_a_yes_would_not_settle_count(
     """The second question of steps of 2.1 mm along one axis is the first beyond the reach of a yes to the first."""
     trainer = make(feedback={"reach_m": reach})
     attempts = walk(trainer, trajectories[0][60], 4, 8)
-    put_off = PutOffQuestions(Asking("episode", 2), trainer.feedback, 2)
+    put_off = PutOffQuestions(Asking(ask="episode", gather_most=2), trainer.feedback, 2)
     full = [put_off.add(1, attempt) for attempt in attempts]
     assert full.index(True) == last
-    restored = PutOffQuestions(Asking("episode", 2), trainer.feedback, 2)
+    restored = PutOffQuestions(Asking(ask="episode", gather_most=2), trainer.feedback, 2)
     restored.restore(put_off.state())
     assert restored.take(0) == put_off.take(0) == []
     for one, two in zip(restored.take(1), attempts, strict=True):

@@ -244,7 +244,6 @@ def environment_parts(
             which nothing but koopdqn's own training does.
     """
     from koopdqn.envs.batch import EnvironmentParts
-    from koopdqn.rl.human_reward import Budget
     from koopdqn.rl.starts import StartSampler
     from koopdqn.tasks.moved_goals import trained_in
 
@@ -264,7 +263,7 @@ def environment_parts(
         _answering(config, oracle, workcell, reward),
         limit,
         config.feedback,
-        Budget(config.oracle.budget, config.oracle.when_spent),
+        config.oracle,
         starts,
     )
 

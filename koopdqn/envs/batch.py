@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopdqn.intent.reward import SOURCES, IntentReward
-from koopdqn.oracles.base import Oracle
+from koopdqn.oracles.base import Asking, Oracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings
-from koopdqn.rl.human_reward import Budget, Feedback
+from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.network import observe
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import VectorEnv
@@ -39,7 +39,7 @@ class EnvironmentParts:
         oracle: who answers where the intent model is not trusted.
         step_limit: actions tried after which an episode is cut.
         feedback: what is made of answers beyond the reward of the action asked about.
-        budget: how many questions may be asked; one more brings reward 0 and moves nothing.
+        asking: how many questions may be asked; one more brings reward 0 and moves nothing.
         starts: where episodes begin and how long they may be; None for anywhere in the start region, ``step_limit``.
     """
 
@@ -48,7 +48,7 @@ class EnvironmentParts:
     oracle: Oracle
     step_limit: int
     feedback: FeedbackSettings = ANSWERS_ALONE
-    budget: Budget = Budget()  # noqa: RUF009 (frozen)
+    asking: Asking = Asking()  # noqa: RUF009 (frozen)
     starts: StartSampler | None = None
 
     @property
@@ -115,7 +115,7 @@ class Batch:
         self._task = workcell.task
         self._tries = np.zeros(count, dtype=np.int64)
         starts = parts.starts or StartSampler(workcell, reward.model.start_frame, [], parts.step_limit)
-        feedback = Feedback(reward, parts.oracle, parts.feedback, parts.budget)
+        feedback = Feedback(reward, parts.oracle, parts.feedback, parts.asking)
         self._env = VectorEnv(workcell, feedback, starts, count, rng, twists=1)
 
     @property

@@ -165,16 +165,9 @@ class Oracle(ABC):
         return
 
 
-class OracleSettings(Settings, ABC):
-    """Settings of an oracle; a new kind of oracle is a subclass and a YAML file."""
+class Asking(Settings):
+    """When questions are asked, how many at most, and what follows then."""
 
-    shows_progress: ClassVar[bool] = False
-    """Whether the oracle itself shows on the terminal how the learning goes."""
-
-    simulated: ClassVar[bool] = False
-    """Whether it stands in for a person, and sees nothing of the scene."""
-
-    name: Name
     budget: Count | None = Field(default=None, description="most questions asked; null for no limit")
     when_spent: Literal["stop", "distrust", "scripted"] = Field(
         default="stop",
@@ -188,6 +181,18 @@ class OracleSettings(Settings, ABC):
     gather_most: Count = Field(
         default=10, description="with ask=episode: questions put off in an episode, which ends at so many"
     )
+
+
+class OracleSettings(Asking, ABC):
+    """Settings of an oracle; a new kind of oracle is a subclass and a YAML file."""
+
+    shows_progress: ClassVar[bool] = False
+    """Whether the oracle itself shows on the terminal how the learning goes."""
+
+    simulated: ClassVar[bool] = False
+    """Whether it stands in for a person, and sees nothing of the scene."""
+
+    name: Name
 
     def check(self) -> None:
         """Say before any work whether the oracle can work here.

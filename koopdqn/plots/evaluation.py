@@ -142,11 +142,13 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
         reach = max(mean, worst or 0.0)
         longest = max(longest, reach)
         distance.barh(row, mean, color=colour, height=0.62)
+        told = f"{mean:.1f}"
         if worst is not None:
             distance.plot(worst, row, marker="|", markersize=9, markeredgewidth=2, color=style.INK)
-        _value(distance, reach, row, f"{mean:.1f}")
+            told += f" | {worst:.1f}"
+        _value(distance, reach, row, told)
     distance.tick_params(labelleft=False)
-    distance.set(xlim=(0, 1.35 * longest), xlabel="mean, | 95 % of maxima [mm]", title="Path deviation")
+    distance.set(xlim=(0, 1.5 * longest), xlabel="mean, | 95 % of maxima [mm]", title="Path deviation")
     for axes in (success, distance):
         axes.grid(False, axis="y")
 

@@ -21,17 +21,16 @@ import torch
 
 from koopdqn.artifact import below
 from koopdqn.intent.reward import ActionEvaluation, IntentReward
-from koopdqn.oracles.base import Oracle
+from koopdqn.oracles.base import Asking, Oracle
 from koopdqn.pose import Array
 from koopdqn.rl.actor_critic import ActorCritic
 from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.checks import Check, Checker, History, Progress
 from koopdqn.rl.dqn import Learner, load_arrays
-from koopdqn.rl.human_reward import Budget, Feedback
+from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.labelling import Choice, Motions, choice_among_known, label_known
 from koopdqn.rl.network import QNetwork, observe, size
 from koopdqn.rl.policy import Policy, policy_network
-from koopdqn.rl.questions import Asking
 from koopdqn.rl.replay_buffer import Labelled, ReplayBuffer
 from koopdqn.rl.settings import ActorCriticSettings, Agent, AgentSettings, TrainSettings
 from koopdqn.rl.starts import StartSampler
@@ -76,7 +75,6 @@ class Trainer:
         settings: TrainSettings,
         seed: int,
         feedback: FeedbackSettings,
-        budget: Budget = Budget(),  # noqa: B008 (frozen)
         asking: Asking = Asking(),  # noqa: B008 (frozen)
     ) -> None:
         """Prepare a run.
@@ -90,8 +88,7 @@ class Trainer:
             settings: when to check and to stop.
             seed: fixes everything.
             feedback: how far answers apply.
-            budget: of questions.
-            asking: when questions are asked.
+            asking: when questions are asked, and how many at most.
         """
         torch.set_num_threads(settings.threads)
         self.workcell = workcell
@@ -103,7 +100,7 @@ class Trainer:
         self.learner.normalise_to(observe(np.concatenate(trajectories), self._task))
         twist, twists = (twist_size(self._task), agent.twists) if isinstance(agent, ActorCriticSettings) else (0, 0)
         self.replay = ReplayBuffer(agent.replay, size(self._task), twist, FIRST_TWIST + twists if twist else COUNT)
-        self.feedback = Feedback(reward, oracle, feedback, budget, step_back=agent.step_back, replay=self.replay)
+        self.feedback = Feedback(reward, oracle, feedback, asking, step_back=agent.step_back, replay=self.replay)
         self.step_limit = int(settings.step_limit_factor * max(len(trajectory) for trajectory in trajectories))
         known = trained_in(workcell)
         starts = StartSampler(known, reward.model.start_frame, trajectories, self.step_limit, agent)

@@ -1,14 +1,13 @@
 """Human feedback in training: asking, remembering, and learning from answers, also when they are withdrawn."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from koopdqn.intent.bend import BentIntent
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import ASKED, BY_MODEL, NO_ANSWER, REMEMBERED, ActionEvaluation, IntentReward
-from koopdqn.oracles.base import Answer, Oracle, OracleSettings, Question
+from koopdqn.oracles.base import Answer, Asking, Oracle, OracleSettings, Question
 from koopdqn.oracles.replay import check_answer
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
@@ -19,19 +18,6 @@ from koopdqn.tasks.actions import FIRST_TWIST, excess
 _TOGETHER = 1024
 # Least reach of the correction by an unexpected yes, in steps.
 _LEAST_REACH_STEPS = 14.0
-
-
-@dataclass(frozen=True)
-class Budget:
-    """The largest number of questions, and what follows it.
-
-    Attributes:
-        most: questions; None for no limit.
-        when_spent: stop training, give no rewards outside the trust domain, or ask the scripted oracle.
-    """
-
-    most: int | None = None
-    when_spent: Literal["stop", "distrust", "scripted"] = "stop"
 
 
 @dataclass(frozen=True)
@@ -96,7 +82,7 @@ class Feedback:
         reward: IntentReward,
         oracle: Oracle,
         settings: FeedbackSettings,
-        budget: Budget = Budget(),
+        asking: Asking = Asking(),  # noqa: B008 (frozen)
         *,
         step_back: bool = True,
         replay: ReplayBuffer | None = None,
@@ -114,19 +100,19 @@ class Feedback:
         self._base = reward
         self._oracle = oracle
         self._settings = settings
-        self._budget = budget
+        self._asking = asking
         self._substitute = led_around(ScriptedOracle(reward.task), reward.model)
         self._replay = replay
 
     @property
     def spent(self) -> bool:
         """Whether no further question may be asked."""
-        return self._budget.most is not None and self.questions >= self._budget.most
+        return self._asking.budget is not None and self.questions >= self._asking.budget
 
     @property
     def stopped(self) -> bool:
         """Whether training ends because the budget is spent."""
-        return self.spent and self._budget.when_spent == "stop"
+        return self.spent and self._asking.when_spent == "stop"
 
     def evaluate_actions(
         self, poses: Array, steps: np.ndarray, starts: Array | None = None, twists: Array | None = None
@@ -172,13 +158,13 @@ class Feedback:
         return outcome
 
     def _substituted(self, question: Question) -> tuple[int, Outcome]:
-        if self._budget.when_spent != "scripted":
+        if self._asking.when_spent != "scripted":
             return NO_ANSWER, Outcome(None)
         self.substituted += 1
         return NO_ANSWER, Outcome(self._substitute.answer(question).right)
 
     def _asked(self, question: Question, evaluation: ActionEvaluation, row: int) -> tuple[int, Outcome]:
-        left = None if self._budget.most is None else self._budget.most - self.questions
+        left = None if self._asking.budget is None else self._asking.budget - self.questions
         number = self.questions
         answer = self._oracle.answer(replace(question, number=number, left=left))
         check_answer(answer, question)

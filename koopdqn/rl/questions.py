@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from koopdqn import pose
 from koopdqn.intent.reward import ActionEvaluation, IntentReward
-from koopdqn.oracles.base import Place, Question
+from koopdqn.oracles.base import Asking, Place, Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.replay_buffer import Labelled
@@ -38,19 +37,6 @@ class OpenAttempt:
     action: int
 
 
-@dataclass(frozen=True)
-class Asking:
-    """When the oracle is asked.
-
-    Attributes:
-        when: at once, or together at the end of the episode.
-        most: number of questions put off at which an episode ends.
-    """
-
-    when: Literal["at_once", "episode"] = "at_once"
-    most: int = 10
-
-
 Ask = Callable[[Question, ActionEvaluation, int], bool]
 """Asks a question, labels the action in a row of an evaluation with the answer, and returns whether there was one."""
 
@@ -71,7 +57,7 @@ class PutOffQuestions:
     @property
     def on(self) -> bool:
         """Whether questions are put off; with the budget spent they are not."""
-        return self._asking.when == "episode" and not self._feedback.spent
+        return self._asking.ask == "episode" and not self._feedback.spent
 
     def add(self, index: int, attempt: OpenAttempt) -> bool:
         """Keep an attempt of episode ``index``; return whether the episode has its most questions."""
@@ -80,7 +66,7 @@ class PutOffQuestions:
         here = _placed([attempt], self._feedback)[0]
         if not self._feedback.extension_contains(_poses(questions), here, attempt.step):
             questions.append(here)
-        return len(questions) >= self._asking.most
+        return len(questions) >= self._asking.gather_most
 
     def take(self, index: int) -> list[OpenAttempt]:
         """Return and remove the attempts of episode ``index``, oldest first."""

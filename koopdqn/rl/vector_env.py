@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopdqn.intent.reward import RULE, ActionEvaluation
-from koopdqn.oracles.base import Question
+from koopdqn.oracles.base import Asking, Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.network import observe
-from koopdqn.rl.questions import Asking, OpenAttempt, PutOffQuestions, answered, question_about
+from koopdqn.rl.questions import OpenAttempt, PutOffQuestions, answered, question_about
 from koopdqn.rl.replay_buffer import Labelled
 from koopdqn.rl.starts import EpisodeStart, StartSampler
 from koopdqn.tasks.actions import COUNT, FIRST_TWIST

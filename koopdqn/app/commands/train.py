@@ -20,10 +20,9 @@ from koopdqn.pose import Array
 from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import EventLog, check_begun, questions_asked, read_checkpoint, save_checkpoint
 from koopdqn.rl.checks import Check
-from koopdqn.rl.human_reward import Budget, answering
+from koopdqn.rl.human_reward import answering
 from koopdqn.rl.network import size
 from koopdqn.rl.policy import write_policy
-from koopdqn.rl.questions import Asking
 from koopdqn.rl.schema import TrainReport
 from koopdqn.rl.settings import check_device, check_memory
 from koopdqn.run_folder import BEGUN, CHECKPOINT, DEMONSTRATIONS, JOURNAL, POLICY, TRAINING, TRAINING_PICTURE
@@ -108,8 +107,7 @@ def trainer_of(
         config.train,
         config.inputs.seed,
         config.feedback,
-        Budget(config.oracle.budget, config.oracle.when_spent),
-        Asking(config.oracle.ask, config.oracle.gather_most),
+        config.oracle,
     )
 
 

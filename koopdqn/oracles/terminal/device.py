@@ -19,12 +19,12 @@ from koopdqn.oracles.base import PauseRequested
 _ENTER: Final = "\x1b[?1049h\x1b[?25l\x1b[2J\x1b[H"
 _LEAVE: Final = "\x1b[0m\x1b[2J\x1b[?25h\x1b[?1049l"
 # CSI and SS3 sequences end with a letter or ~; anything else after ESC is one character.
-_SEQUENCE: Final = re.compile(r"\x1b(?:[\[O][^a-zA-Z~]*[a-zA-Z~]?|.)?", re.DOTALL)
+_KEY: Final = re.compile(r"\x1b(?:[\[O][^a-zA-Z~]*[a-zA-Z~]?|.)?|.", re.DOTALL)
 _CUT: Final = re.compile(r"\x1b(?:[\[O][^a-zA-Z~]*)?$")
 """A sequence that is not over."""
 _REST_SECONDS: Final = 0.02
 """How long the rest of a sequence may take."""
-_ARROWS: Final = {"\x1b[C": "→", "\x1bOC": "→", "\x1b[D": "←", "\x1bOD": "←"}
+_NAMED: Final = {"\x1b[C": "→", "\x1bOC": "→", "\x1b[D": "←", "\x1bOD": "←", "\x1b": "Esc"}
 _END_OF_INPUT: Final = "\x04"
 _SMALLEST: Final = (20, 8)
 """Width and height that a terminal which does not know its size is taken to have at least."""
@@ -123,7 +123,7 @@ class Device:
     def keys(self, seconds: float) -> list[str]:
         """Return the keys pressed, waiting at most ``seconds`` for one; PauseRequested if Ctrl-D ends the input.
 
-        Arrows to the left and to the right are ``←`` and ``→``.
+        Arrows to the left and to the right are ``←`` and ``→``, Escape is ``Esc``.
         """
         text = self.raw(seconds)
         while _CUT.search(text) and (rest := self.raw(_REST_SECONDS)):
@@ -190,8 +190,9 @@ class Device:
 
 
 def _single(text: str) -> list[str]:
-    """Return the keys that are one character, in lower case, and arrows to the sides; other sequences are left out."""
-    return list(_SEQUENCE.sub(lambda found: _ARROWS.get(found[0], ""), text).lower())
+    """Return the keys that are one character, in lower case, and those with a name; other sequences are left out."""
+    keys = _KEY.findall(text)
+    return [_NAMED.get(key, key.lower()) for key in keys if key in _NAMED or not key.startswith("\x1b")]
 
 
 def _gone() -> PauseRequested:
