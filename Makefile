@@ -13,7 +13,7 @@ CONSTRAINTS ?= constraints.txt
 export CONSTRAINTS
 # The folder of motions of people that `make people`, `make ablations` and `make continuous` measure.
 PEOPLE ?= ../shared/data
-# Options of scripts/bench.py: --long, --pykoopman=PYTHON.
+# Options of scripts/bench.py: --short, --pykoopman=PYTHON.
 BENCH ?=
 # How long `make fuzz` and `make soak` try to break koopdqn, from which seed, and what `make physics` plays.
 TRY_MINUTES ?= 10
@@ -68,10 +68,10 @@ format: $(STAMP) ## Mend formatting, and what style rules can mend by themselves
 types: $(STAMP) ## Check types
 	$(BIN)/mypy
 
-sizes: $(STAMP) ## Print lines, modules, circles and upward imports of the package
-	$(BIN)/python scripts/sizes.py
+sizes: $(STAMP) ## Print lines and modules of the package; fails where it grows, or imports run in circles or upwards
+	$(BIN)/python scripts/sizes.py --check
 
-bench: $(STAMP) ## Measure speed beside peers, into docs/performance.md; BENCH=--long learns whole tasks too
+bench: $(STAMP) ## Measure speed beside peers, into docs/performance.md; minutes
 	$(BIN)/python -m pip install --quiet $(if $(CONSTRAINTS),-c $(CONSTRAINTS)) -e '.[bench]'
 	$(BIN)/python scripts/bench.py $(BENCH)
 
@@ -84,7 +84,7 @@ continuous: $(STAMP) ## Learn tasks and motions of people with continuous action
 study: $(STAMP) ## Measure the default beside simpler and older methods, for at most MINUTES; goes on where it stopped
 	$(BIN)/python scripts/study.py study --minutes $(MINUTES)
 
-people-continuous: $(STAMP) ## The same as people with continuous actions; hours, goes on where it stopped
+people-continuous: $(STAMP) ## Measure people's motions with continuous actions; hours, goes on where it stopped
 	$(BIN)/python scripts/study.py people-continuous --data $(PEOPLE)
 
 people: $(STAMP) ## Measure every set of people's motions below PEOPLE; hours, goes on where it stopped
@@ -125,7 +125,7 @@ site: $(STAMP) ## Build the documentation's site into site/; any warning fails
 figures: $(STAMP) ## Measure the README's figures and draw its pictures anew; takes minutes
 	$(BIN)/python scripts/study.py figures
 
-pictures: $(STAMP) ## Draw the pictures of docs/view.md anew; takes minutes
+pictures: $(STAMP) ## Draw the pictures of the documentation anew, but those of figures; takes minutes
 	$(BIN)/python scripts/pictures.py
 
 package: $(STAMP) ## Build dist/, install it in a clean environment and use it there
@@ -137,5 +137,5 @@ constraints: $(STAMP) ## Write constraints.txt from what VENV holds now
 	touch "$(STAMP)"
 
 clean: ## Remove build products and caches; the environment and runs/ stay
-	rm -rf dist site .coverage* .hypothesis .mypy_cache .pytest_cache .ruff_cache
-	find assets conf docs koopdqn scripts tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	rm -rf dist site .coverage* .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	find assets conf docs examples koopdqn scripts tests -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,7 +1,7 @@
 """Measures koopdqn's speed beside peers and limits, all in one run: `make bench`.
 
-The rows go to ``docs/performance.json``, and as a table between the markers of ``docs/performance.md``. Peers are the
-optional extra ``bench``; a row whose peer is missing says so.
+The rows go to ``docs/performance.json``, and as a table between the markers of ``docs/performance.md``, unless some are
+left out by ``--short``. Peers are the optional extra ``bench``; a row whose peer is missing says so.
 """
 
 import json
@@ -65,7 +65,9 @@ def machine(load: float) -> str:
 def main(arguments: Sequence[str]) -> int:
     """Measure and write; return the exit status."""
     parser = ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--long", action="store_true", help="also learn whole tasks and fit ten million pairs; minutes")
+    parser.add_argument(
+        "--short", action="store_true", help="learn no whole tasks, fit no ten million pairs, and print the rows alone"
+    )
     parser.add_argument("--pykoopman", type=Path, metavar="PYTHON", help="an interpreter that has pykoopman")
     options = parser.parse_args(arguments)
     load = os.getloadavg()[0]
@@ -74,15 +76,17 @@ def main(arguments: Sequence[str]) -> int:
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory(prefix="koopdqn-bench-") as folder:
         rows = []
-        for row in measured(Path(folder), options.pykoopman, long=options.long):
+        for row in measured(Path(folder), options.pykoopman, long=not options.short):
             print(line(row), file=sys.stderr, flush=True)
             rows.append(row)
+    print(table(rows))
+    if options.short:
+        return 0
     about = machine(load)
     content = {"machine": about, "rows": [row.described() for row in rows]}
     DATA.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     text = PAGE.read_text(encoding="utf-8")
     PAGE.write_text(replaced(text, "performance", f"{about}\n\n{table(rows)}"), encoding="utf-8")
-    print(table(rows))
     return 0
 
 

@@ -24,6 +24,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.trained import as_trained, step_limit_of
+from koopdqn.app.exit_status import guard
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.errors import BadInputError
@@ -275,22 +276,34 @@ def behind(learned: Learned, episodes: list[Episode], last: int, starts: Array) 
     return found
 
 
-def main(run: str, scenes: str, seed: str, file: str) -> None:
-    """Measure scenes and add a line each to a file."""
+def main(run: str, scenes: str, seed: str, file: str) -> int:
+    """Measure scenes and add a line each to a file.
+
+    Raises:
+        BadInputError: the file holds scenes of another run or seed, or see :meth:`Learned.read`.
+    """
     warnings.simplefilter("ignore", RuntimeWarning)
     learned, results = Learned.read(Path(run)), Path(file)
     held = results.read_text().splitlines() if results.is_file() else []
+    made_with = {"run": Path(run).name, "seed": int(seed)}
+    for line in held:
+        for key, value in made_with.items():
+            if (found := json.loads(line).get(key, value)) != value:
+                raise BadInputError(f"{file}: must hold scenes of {key} {value}, found {found}")
     for index in range(len(held), int(scenes)):
         body = index % 3 == 2
         scene = drawn(np.random.default_rng([int(seed), index]), learned, body=body)
-        row: dict[str, Any] = {"scene": index, "seed": int(seed), "body": body, "drawn": scene is not None}
+        row: dict[str, Any] = {"scene": index, **made_with, "body": body, "drawn": scene is not None}
         if scene is not None:
             obstacle, first, last = scene
             row |= {"shape": obstacle.shape, "blocked": [first, last]} | measured(learned, obstacle, last)
         with results.open("a") as lines:
             lines.write(json.dumps(row) + "\n")
         print(json.dumps(row), flush=True)
+    return 0
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    if len(sys.argv) != len(("script", "RUN", "SCENES", "SEED", "FILE")):
+        sys.exit(__doc__)
+    sys.exit(guard(lambda: main(*sys.argv[1:]), debug=False))

@@ -3,10 +3,11 @@
     scripts/passing_itself.py FOLDER [SHAPE ...]
 
 Of each shape seven demonstrations are drawn, waved aside by 5 mm, of which the last is held out. A line of the table is
-printed a shape; what FOLDER holds already is not made again.
+printed a shape; what FOLDER holds already is not made again, and a training that was stopped goes on.
 """
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,8 +19,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from koopdqn import pose
 from koopdqn.app import cli
+from koopdqn.app.exit_status import guard
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.errors import BadInputError, WorkFailedError, unknown_name
 from koopdqn.paths import arc_lengths, at_arc_lengths
 from koopdqn.tasks.unfolding import Unfolding
 
@@ -76,24 +79,43 @@ def learned(demos: Path, folder: Path, seed: int, *, unfolded: bool) -> dict[str
     """Return ``eval.json`` of a training on demonstrations, with its ``train.json``, made if it is not there.
 
     None if they are refused.
+
+    Raises:
+        WorkFailedError: a command did not come to a result.
     """
     run, measured = folder / "train", folder / "eval"
     if not (measured / "eval.json").is_file():
-        given = ["task=demonstrated", f"demos={demos}", "task.holdout=1", f"seed={seed}"]
-        _command(["train", *given, f"out={run}"], unfolded=unfolded)
         if not (run / "train.json").is_file():
-            return None
-        _command(["eval", f"run={run}", f"out={measured}", "eval.dynamics=false"], unfolded=unfolded)
+            given = ["task=demonstrated", f"demos={demos}", "task.holdout=1", f"seed={seed}", f"out={run}"]
+            begun = (run / ".hydra").is_dir()
+            status = _command(["train", *([f"run={run}"] if begun else given)], unfolded=unfolded)
+            if status == BadInputError.exit_status and not begun:
+                shutil.rmtree(run, ignore_errors=True)
+                return None
+            if not (run / "train.json").is_file():
+                raise WorkFailedError(f"{run}: the training ended with exit status {status}")
+        shutil.rmtree(measured, ignore_errors=True)
+        if status := _command(["eval", f"run={run}", f"out={measured}", "eval.dynamics=false"], unfolded=unfolded):
+            raise WorkFailedError(f"{measured}: the evaluation ended with exit status {status}")
     report: dict[str, Any] = json.loads((measured / "eval.json").read_text())
     return {**report, "train": json.loads((run / "train.json").read_text())}
 
 
-def _command(words: list[str], *, unfolded: bool) -> None:
-    subprocess.run([sys.executable, __file__, _WITH if unfolded else _WITHOUT, *words], stdout=subprocess.DEVNULL)
+def _command(words: list[str], *, unfolded: bool) -> int:
+    call = [sys.executable, __file__, _WITH if unfolded else _WITHOUT, *words]
+    return subprocess.run(call, stdout=subprocess.DEVNULL, check=False).returncode
 
 
-def main(folder: Path, names: list[str]) -> None:
-    """Measure shapes and print a line of the table each."""
+def main(folder: Path, names: list[str]) -> int:
+    """Measure shapes and print a line of the table each.
+
+    Raises:
+        BadInputError: a shape is not known.
+        WorkFailedError: see :func:`learned`.
+    """
+    for name in names:
+        if name not in SHAPES:
+            raise unknown_name("shape", name, SHAPES)
     for number, name in enumerate(SHAPES):
         demos = folder / f"{name.replace(' ', '-')}.hdf5"
         if names and name not in names:
@@ -115,12 +137,15 @@ def main(folder: Path, names: list[str]) -> None:
                 replayed = f"{away['nearest_demonstration'][0]:.1f}"
         cells.append(replayed)
         print("| " + " | ".join(cells) + " |", flush=True)
+    return 0
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
     if sys.argv[1] == _WITHOUT:
         # What a path that does not pass itself gets.
         Unfolding.of = classmethod(lambda *_: None)  # type: ignore[assignment, method-assign]
     if sys.argv[1] in (_WITH, _WITHOUT):
         sys.exit(cli.main(sys.argv[2:]))
-    main(Path(sys.argv[1]), sys.argv[2:])
+    sys.exit(guard(lambda: main(Path(sys.argv[1]), sys.argv[2:]), debug=False))

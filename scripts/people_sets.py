@@ -13,7 +13,7 @@ from imitation.primitives import PRIMITIVES, learn
 
 from koopdqn import console, pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
-from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
+from koopdqn.demonstrations.hdf5 import read_hdf5
 from koopdqn.demonstrations.preprocess import on_straight_turn
 from koopdqn.demonstrations.recordings.load import load
 from koopdqn.demonstrations.recordings.recording import NOTHING
@@ -28,7 +28,11 @@ _SAMPLES: Final = 200
 
 
 def sets_below(data: Path) -> dict[str, tuple[Demonstration, ...]]:
-    """Return the sets below a folder by their names; what cannot be read is said."""
+    """Return the sets below a folder by their names; what cannot be read is said.
+
+    Raises:
+        BadInputError: two sets have one name.
+    """
     found: dict[str, tuple[Demonstration, ...]] = {}
     for folder in sorted({path.parent for path in data.rglob("*") if path.suffix in (".csv", ".txt")}):
         single: list[Demonstration] = []
@@ -39,20 +43,24 @@ def sets_below(data: Path) -> dict[str, tuple[Demonstration, ...]]:
                 console.note(f"left out: {error}")
                 continue
             if len(items) >= LEAST:
-                found[f"{folder.name}-{path.stem}"] = tuple(items)
+                _add(found, f"{folder.name}-{path.stem}", items, path)
             else:
                 single += items
         if len(single) >= LEAST:
-            found[folder.name] = tuple(single)
+            _add(found, folder.name, single, folder)
     return found
 
 
-def write(items: Sequence[Demonstration], held_out: int, path: Path) -> None:
-    """Write a set with the demonstration held out at its end, unless the file is there."""
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        others = [item for index, item in enumerate(items) if index != held_out]
-        write_hdf5(path, Demonstrations("demonstrated", "unknown", (*others, items[held_out])))
+def _add(found: dict[str, tuple[Demonstration, ...]], name: str, items: Sequence[Demonstration], place: Path) -> None:
+    if name in found:
+        raise BadInputError(f"--data: sets must have different names, found {name} twice, once in {place}")
+    found[name] = tuple(items)
+
+
+def arranged(items: Sequence[Demonstration], held_out: int) -> Demonstrations:
+    """Return a set with the demonstration held out at its end."""
+    others = [item for index, item in enumerate(items) if index != held_out]
+    return Demonstrations("demonstrated", "unknown", (*others, items[held_out]))
 
 
 def beside(folder: Path, run: Path) -> dict[str, Any]:

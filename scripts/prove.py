@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from docs import replaced, rows_table
+from koopdqn.app.exit_status import guard
 from koopdqn.files import write_json, write_text
 
 ROOT: Final = Path(__file__).resolve().parents[1]
@@ -87,7 +88,11 @@ class Watched:
         ready = self._waited()
         line = os.read(self._pipes[0], 1 << 16) if ready else b""
         if line:
-            return dict(json.loads(line))
+            found: dict[str, str] = json.loads(line)
+            # What grew stays large, and would be taken for what comes next.
+            if found["end"] == "memory":
+                self._end()
+            return found
         self._end()
         case = self._make(number)
         return {"family": case.family, "name": case.name, "end": "crash" if ready else "hang", "detail": ""}
@@ -198,6 +203,12 @@ def main() -> int:
     parser.add_argument("--runs", nargs="*", default=[], type=Path)
     parser.add_argument("--paths", type=int, default=1000)
     given = parser.parse_args()
+    if given.what == "physics" and not given.runs:
+        parser.error("physics needs --runs, folders of trained runs")
+    return guard(lambda: _tried(given), debug=False)
+
+
+def _tried(given: argparse.Namespace) -> int:
     folder = Path(tempfile.mkdtemp(prefix="koopdqn-prove-"))
     try:
         if given.what == "physics":

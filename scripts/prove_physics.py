@@ -42,7 +42,7 @@ class Condition:
     """What differs from the model that the path was planned with.
 
     Attributes:
-        payload: mass of tool and payload, as a share of the model's.
+        payload: mass of the last link, tool and payload, as a share of the model's.
         friction_nm: dry friction in every joint [Nm].
         noise_rad: standard deviation of the joint angles that are commanded, as encoders would disturb them.
         dropped: share of commands that are lost; the last one holds on.

@@ -54,11 +54,18 @@ class Study:
             experiment: what it is.
             root: folder of the runs.
             data: folder of demonstrations of people.
+
+        Raises:
+            BadInputError: an experiment of people's motions finds none, or its results cannot be read.
         """
         self._name, self._experiment, self._root = name, experiment, root
         self._page = ROOT / experiment.page
         self._kept = ROOT / experiment.results if experiment.results else root / f"{name}.json"
         people = people_sets.sets_below(data) if experiment.people else {}
+        if experiment.people and not people:
+            raise BadInputError(
+                f"--data: must hold sets of at least {people_sets.LEAST} demonstrations, found none below {data}"
+            )
         seeds = {case: list(range(len(items))) for case, items in people.items()}
         for case, content in experiment.cases.items():
             if not content.file or (data / content.file).is_file():
@@ -190,7 +197,11 @@ class Study:
             stored = [
                 row
                 for row in rows
-                if (row.case, row.seed) == (run.case, run.seed) and row.line in ours and row.settings == run.settings
+                if (row.case, row.seed) == (run.case, run.seed)
+                and row.line in ours
+                and row.settings == run.settings
+                # One that was begun alone is gone on with.
+                and row.values.get("finished") is not False
             ]
             if len(stored) == len(ours):
                 found[run.name] = stored

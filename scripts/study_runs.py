@@ -6,6 +6,7 @@ settings than are asked for now is set aside, and made anew. Folders may have mo
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -15,6 +16,7 @@ from experiment import Case, Experiment, Variant, merged
 from koopdqn import console
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.dataset import Demonstration
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import read_json
 
@@ -182,6 +184,7 @@ class Run:
         """What measures the training, or learns from its demonstrations and measures that."""
         by, training = self._variant.by, self.training.folder
         given = merged(self.experiment.measure, self._variant.measure)
+        given = tuple(item.format(seed=self.seed, folder=self.folder) for item in given)
         if by == "fit":
             return Step(by, (*self._case.train, *given, f"demos={training / 'demos.hdf5'}"), self.folder / by)
         command, method = (by, ()) if by == "eval" else (IMITATE, (f"method={by}",))
@@ -189,9 +192,10 @@ class Run:
 
     @property
     def settings(self) -> dict[str, dict[str, str]]:
-        """The overrides that it is made with, by command and name, wherever folders and data lie."""
+        """The overrides that it is made with, by command and name, wherever folders and data lie; and whose motions."""
         steps = {"train": self.trainings[0], self.measurement.command: self.measurement}
-        return {command: _settings(step.arguments) for command, step in steps.items()}
+        given = {command: _settings(step.arguments) for command, step in steps.items()}
+        return given | ({"set": {"digest": self._digest}} if self.people else {})
 
     @property
     def baselines(self) -> tuple[str, ...]:
@@ -200,7 +204,7 @@ class Run:
 
     def finished(self) -> bool:
         """Return whether all of it came to a result."""
-        return self.training.finished() and self.measurement.finished()
+        return self.training.finished() and self.measurement.finished() and not self._of_other_motions()
 
     def carry_out(self, launch: Launch) -> str:
         """Do what is left; return "" or, if a command crashed, one line that says so."""
@@ -210,7 +214,12 @@ class Run:
                 if folder.is_dir():
                     set_aside(folder)
         if self.people:
-            people_sets.write(self.people, self.seed, self.folder / "shown.hdf5")
+            if self._of_other_motions():
+                set_aside(self.folder)
+            shown = self.folder / "shown.hdf5"
+            if not shown.is_file():
+                shown.parent.mkdir(parents=True, exist_ok=True)
+                write_hdf5(shown, people_sets.arranged(self.people, self.seed))
         crash = ""
         for step in () if self.training.finished() else self.trainings:
             status, crash = step.carry_out(launch)
@@ -245,6 +254,15 @@ class Run:
     def _result(self, below: str, record: Mapping[str, Any]) -> Result:
         values = {name: _known(record, paths) for name, paths in self.experiment.values.items()}
         return Result(self.case, f"{self.variant}{below}", self.seed, values, self.settings)
+
+    @cached_property
+    def _digest(self) -> str:
+        return people_sets.arranged(self.people, self.seed).digest()
+
+    def _of_other_motions(self) -> bool:
+        """Return whether the folder is of a set that has changed since."""
+        shown = self.folder / "shown.hdf5"
+        return bool(self.people) and shown.is_file() and read_hdf5(shown).digest() != self._digest
 
     @property
     def _case(self) -> Case:

@@ -11,6 +11,7 @@ from koopdqn import pose
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import write_hdf5
+from koopdqn.errors import BadInputError
 
 
 def rostopic(path: Path, poses: pose.Array) -> None:
@@ -33,6 +34,14 @@ def test_a_set_is_a_file_of_several_or_a_folder_of_single_ones(tmp_path: Path) -
     assert {name: len(items) for name, items in found.items()} == {"kinova": 3, "lab-three": 3}
     np.testing.assert_allclose(found["kinova"][1].poses, arc(0.01))
     np.testing.assert_allclose(found["kinova"][1].times, 0.01 * np.arange(200), atol=1e-9)
+
+
+def test_two_sets_of_one_name_are_refused(tmp_path: Path) -> None:
+    for place in ("a", "b"):
+        (tmp_path / place / "lab").mkdir(parents=True)
+        write_csv(tmp_path / place / "lab" / "three.csv", [recorded(arc())] * 3)
+    with pytest.raises(BadInputError, match="found lab-three twice, once in"):
+        sets_below(tmp_path)
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

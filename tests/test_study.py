@@ -113,6 +113,24 @@ def test_what_the_file_of_results_holds_is_not_measured_again(tmp_path: Path) ->
         (tmp_path / "runs").rename(tmp_path / f"lost-{len(list(tmp_path.iterdir()))}")
 
 
+def test_what_was_begun_alone_is_gone_on_with(tmp_path: Path) -> None:
+    values = {**CONTENT["values"], "finished": "finished"}
+    changed: dict[str, Any] = {"results": str(tmp_path / "kept.json"), "values": values}
+    small, launcher = begun(tmp_path, **changed), Launcher()
+    [sign] = small.chosen(case=["shelf"], variant=["sign"], seed=[1])
+    sign.folder.mkdir(parents=True)
+    small.write()
+    assert '"finished":false' in (tmp_path / "kept.json").read_text(encoding="utf-8").replace(" ", "")
+    again = begun(tmp_path, **changed)
+    again.measure([sign], launch=launcher)
+    assert [command for command, _ in launcher.calls] == ["train", "eval"]
+
+
+def test_people_without_any_motions_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match="--data: must hold sets of at least 3 demonstrations, found none below"):
+        begun(tmp_path, people=True, cases={}, variants={"default": {}})
+
+
 def test_results_of_motions_that_are_not_here_stay(tmp_path: Path) -> None:
     changed: dict[str, Any] = {
         "results": str(tmp_path / "kept.json"),

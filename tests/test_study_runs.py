@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from experiment_parts import SHA, Launcher, experiment, write
 from helpers_shown import arc, recorded
@@ -149,6 +150,26 @@ def test_a_demonstration_is_held_out_and_primitives_of_the_others_are_measured_b
     # What movement primitives came to is kept.
     (fold.training.folder / "demos.hdf5").unlink()
     assert fold.results()[0].values == values
+
+
+def test_a_set_that_has_changed_is_measured_anew(tmp_path: Path) -> None:
+    fold = held_out(tmp_path)
+    fold.carry_out(Launcher())
+    write(fold.folder / "result.json", {"placed": False, "hausdorff_mm": {"dmp": 1.0}})
+    assert replace(fold, people=tuple(PEOPLE)).finished()
+    changed = replace(fold, people=(*PEOPLE[:2], recorded(arc(0.03))))
+    assert changed.settings != fold.settings
+    assert not changed.finished()
+    launcher = Launcher()
+    changed.carry_out(launcher)
+    assert [command for command, _ in launcher.calls] == ["train", "eval"]
+    assert (fold.folder.with_name("held-out-1.former-1") / "result.json").is_file()
+    np.testing.assert_array_equal(read_hdf5(changed.folder / "shown.hdf5").items[1].poses, arc(0.03))
+
+
+def test_overrides_of_measurements_may_hold_the_seed(tmp_path: Path) -> None:
+    measured = replace(run(tmp_path), experiment=experiment(measure=["eval.seed={seed}"])).measurement
+    assert "eval.seed=1" in measured.arguments
 
 
 def test_only_motions_that_the_arm_cannot_follow_are_moved(tmp_path: Path) -> None:

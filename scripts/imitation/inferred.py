@@ -36,7 +36,9 @@ class Imitator:
 
 
 class BestOf:
-    """Keeps, of policies that are checked on the way, the latest of the best, as the default's training does.
+    """Keeps, of policies that are checked on the way, the latest of those with most successes.
+
+    The default's training takes of these the nearest to its intent, which others lack.
 
     Attributes:
         policy: that one; None before the first check.
