@@ -37,6 +37,12 @@ def arc(offset: float = 0.0, count: int = 200) -> Array:
     return pose.make(np.stack([np.full(count, 0.45), 0.2 * np.sin(angle) - 0.1, height], axis=1), HORIZONTAL)
 
 
+def turned_by(poses: Array, angle: float) -> Array:
+    """Return poses (N, 7) that turn evenly by an angle [rad] about x, to the orientation they have."""
+    left = np.linspace(angle, 0.0, len(poses))[:, None] * [1.0, 0.0, 0.0]
+    return pose.make(poses[:, :3], pose.multiply(poses[:, 3:], pose.from_rotation_vector(left)))
+
+
 def tipping(offset: float = 0.0) -> Array:
     """Return an arc, begun ``offset`` [m] higher, along which the tool tips by 40 degrees and back again."""
     poses = arc(offset)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown, tipping
+from helpers_shown import HORIZONTAL, arc, derivation, recorded, shown, tipping, turned_by
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import Parts, load_parts
@@ -25,12 +25,6 @@ AHEAD = 0.015
 
 def three() -> Derived:
     return RECIPE.derive(shown(*(recorded(arc(offset), idle=40) for offset in (0.0, 0.02, 0.04))))
-
-
-def turned_by(poses: Array, angle: float) -> Array:
-    """Return poses (N, 7) that turn evenly by an angle [rad] about x, to the orientation they have."""
-    left = np.linspace(angle, 0.0, len(poses))[:, None] * [1.0, 0.0, 0.0]
-    return pose.make(poses[:, :3], pose.multiply(poses[:, 3:], pose.from_rotation_vector(left)))
 
 
 def test_the_last_demonstration_shapes_nothing() -> None:
@@ -105,6 +99,22 @@ def test_a_jump_that_stays_is_told() -> None:
     assert any("demonstration 0 jumps by 150 mm" in note for note in notes)
     held_out = RECIPE.derive(shown(recorded(arc()), recorded(poses)))
     assert not any("jumps" in note for note in held_out.notes)
+
+
+@pytest.mark.parametrize("half", [(0.0, 0.0, 0.0), (-0.1, 0.1, 0.1)])
+def test_a_region_of_goals_that_is_none_is_bad_input(half: tuple[float, float, float]) -> None:
+    with pytest.raises(
+        BadInputError, match=r"^task demonstrated: .*goal_half_range_m must not be negative, and above 0"
+    ):
+        RECIPE.model_copy(update={"goal_half_range_m": half}).derive(shown(recorded(arc()), recorded(arc(0.01))))
+
+
+def test_a_turn_that_is_to_be_held_is_left_out_of_what_is_held_out_too() -> None:
+    items = [recorded(turned_by(arc(0.01 * index), 1.0)) for index in range(3)]
+    made = RECIPE.model_copy(update={"turning": "held"}).derive(shown(*items))
+    assert any("held, the goal's is kept and what was demonstrated left out" in note for note in made.notes)
+    [aside] = made.held_out
+    assert not made.task.rule_broken(aside.poses).any()
 
 
 @pytest.mark.parametrize("holdout", [1, 5])

@@ -82,6 +82,18 @@ def test_what_a_camera_saw_far_off_is_placed_where_the_flange_rests() -> None:
     assert all(blocked_at(arm(), placement.poses(path)) == "" for path in rows)
 
 
+def test_what_the_arm_can_follow_is_left_where_it_is() -> None:
+    # A turn on the spot: fast joints, but none too fast for a step.
+    line = arc()
+    spot = np.repeat(line[-1:], 27, axis=0)
+    turn = pose.from_rotation_vector(np.linspace(0.0, 2.1, 27)[:, None] * [1.0, 0.0, 0.0])
+    spot[:, pose.QUATERNION] = pose.multiply(spot[:, pose.QUATERNION], turn)
+    rows = [np.concatenate([line, spot[1:]])] * 2
+    assert [blocked_at(arm(), path) for path in rows] == ["", ""]
+    assert any(blocked_at(arm(), path[::6]) for path in rows)
+    assert str(find_placement(arm(), rows)) == str(Placement(np.zeros(3), 0.0))
+
+
 def test_where_nothing_will_do_that_is_said() -> None:
     line = np.tile(arc()[0], (200, 1))
     line[:, 0] = np.linspace(-3.0, 3.0, 200)

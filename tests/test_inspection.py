@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_shown import arc, recorded
+from helpers_shown import arc, recorded, turned_by
 from parts import load_parts
 
 from koopdqn import pose
@@ -53,11 +53,35 @@ def test_repeated_samples_are_left_out_and_rests_stay() -> None:
     assert np.diff(left.times).max() == pytest.approx(79 * 0.02)
 
 
-@pytest.mark.parametrize("index", [3, 77, 150])
+@pytest.mark.parametrize("index", [0, 1, 3, 77, 150, -2, -1])
 def test_a_spike_is_left_out_and_nothing_else(index: int) -> None:
     poses = recorded(arc(), noise=0.0003).poses.copy()
     poses[index, 2] += 0.05
-    assert np.flatnonzero(outlying(Demonstration(0.02 * np.arange(float(len(poses))), poses))).tolist() == [index]
+    found = np.flatnonzero(outlying(Demonstration(0.02 * np.arange(float(len(poses))), poses)))
+    assert found.tolist() == [index % len(poses)]
+
+
+def test_a_longer_last_step_is_no_outlier() -> None:
+    position = np.array([[0.4, 0.02 * min(i, 9) + 0.1 * (i > 9), 0.3] for i in range(11)])
+    assert not outlying(Demonstration(np.arange(11.0), pose.make(position, [1.0, 0.0, 0.0, 0.0]))).any()
+
+
+@pytest.mark.parametrize("count", [8, 14, 20, 30])
+def test_a_jump_is_told_however_short_the_recording(count: int) -> None:
+    position = np.linspace([0.4, -0.15, 0.3], [0.4, 0.15, 0.3], count)
+    position[count // 2 :, 2] += 0.25
+    item = Demonstration(0.1 * np.arange(float(count)), pose.make(position, [1.0, 0.0, 0.0, 0.0]))
+    assert jump_of(item) == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_few_waypoints_are_followed_as_many_samples_are(arm: Arm) -> None:
+    whole = turned_by(arc(), np.pi)
+    found = []
+    for every in (1, 50):
+        rows = np.append(np.arange(0, len(whole) - 1, every), len(whole) - 1)
+        found.append(follow(Demonstration(0.05 * rows, whole[rows]), arm))
+    assert [each.share for each in found] == [1.0, 1.0]
+    assert [each.why for each in found] == ["", ""]
 
 
 def test_a_corner_is_no_outlier_and_no_jump() -> None:

@@ -59,11 +59,22 @@ def test_hdf5_of_another_task_is_refused_unless_any_will_do(folder: Path) -> Non
 
 @pytest.mark.parametrize(
     ("source", "words"),
-    [("none_*.csv", "none that match"), ("none.csv", "found nothing"), (".", "found something else")],
+    [
+        ("none_*.csv", "none that match"),
+        ("none.csv", "found nothing"),
+        (".", "found something else"),
+        ("**.csv", "must name files, found .*entire path component"),
+    ],
 )
 def test_what_names_no_file_is_refused(folder: Path, source: str, words: str) -> None:
     with pytest.raises(BadInputError, match=words):
         read_demonstrations([str(folder / source)], "demonstrated", "UR5")
+
+
+def test_a_link_to_itself_is_refused(folder: Path) -> None:
+    (folder / "loop.csv").symlink_to(folder / "loop.csv")
+    with pytest.raises(BadInputError, match=r"must name files|found nothing"):
+        read_demonstrations([str(folder / "loop.csv")], "demonstrated", "UR5")
 
 
 def test_no_file_counts_twice(folder: Path) -> None:

@@ -130,4 +130,7 @@ def test_what_it_holds_restores_it(frame: StartFrame) -> None:
     for name, odd in {"path": found.arrays()["path"][:1], "shifts": np.full((40, 3, 3), np.nan)}.items():
         with pytest.raises(ValueError, match="must have at least two places, and all of it be finite"):
             StartFrame.restore({**frame.arrays(), name: odd})
+    for name, odd in {"path": found.arrays()["path"][:5], "centre": np.zeros(2), "reach": np.zeros(1)}.items():
+        with pytest.raises(ValueError, match="must be of shapes"):
+            StartFrame.restore({**frame.arrays(), name: odd})
     assert StartRegression.restore(StartFrame(frame.start, frame.goal, follows=True).arrays()) is None

@@ -172,6 +172,7 @@ def test_its_arrays_are_those_documented() -> None:
         ("cuts", np.array([10**6])),
         ("cuts", np.array([], dtype=int)),
         ("cuts", np.array([50, 40])),
+        ("cuts", np.array([50, 51])),
         ("back", np.array([True, False])),
         ("overlap", np.array(0)),
     ],

@@ -125,7 +125,7 @@ def jump_of(item: Demonstration) -> float:
     """
     moved = pose.position_distance(item.poses[1:], item.poses[:-1])
     speed = moved / np.diff(item.times)
-    usual = np.percentile(speed[speed > 0.0], _NEARLY_ALL) if (speed > 0.0).any() else 0.0
+    usual = np.percentile(speed[speed > 0.0], _NEARLY_ALL, method="lower") if (speed > 0.0).any() else 0.0
     before2, before, _, after, after2 = np.lib.stride_tricks.sliding_window_view(np.pad(speed, 2), 5).T
     beside = np.min([np.maximum(before, after), np.maximum(before, after2), np.maximum(before2, after)], axis=0)
     return float(moved[(moved > _JUMP_M) & (speed > _JUMP * np.maximum(usual, beside))].max(initial=0.0))
@@ -151,14 +151,14 @@ def _alone(values: Array) -> np.ndarray:
     across = np.linalg.norm(values[2:] - values[:-2], axis=1)
     usual = 3.0 * float(np.median(step))
     alone = np.minimum(step[:-1], step[1:]) > np.maximum(2.0 * across, usual)
-    ends = [step[row] > max(2.0 * step[beside], usual) for row, beside in ((0, 1), (-1, -2))]
+    ends = [step[row] > max(_JUMP * step[beside], 2.0 * usual) for row, beside in ((0, 1), (-1, -2))]
     return np.concatenate([ends[:1], alone, ends[1:]])
 
 
 def _residual(values: Array) -> Array:
     from scipy.ndimage import median_filter
 
-    return np.asarray(values - median_filter(values, size=(5, 1), mode="nearest"))
+    return np.asarray(values - median_filter(values, size=(5, 1), mode="mirror"))
 
 
 def _rows(item: Demonstration, kept: np.ndarray) -> Demonstration:

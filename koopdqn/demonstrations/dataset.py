@@ -192,21 +192,36 @@ _TURN_LIKE_TEN_CENTIMETRES = np.radians(30)
 def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) -> Placement:
     """Return the smallest placement tried in which the arm can follow all trajectories (N, 7).
 
-    The set is turned about its own middle, and moved outward or inward and up or down; a turn about the base's axis
-    would change nothing but the first joint. Where that does not do, as with what a camera saw, the same is tried with
-    its middle where the flange rests.
+    It moves nothing where the arm can already. Of others those are preferred in which joints are slow enough to be
+    followed at every sixth pose too. The set is turned about its own middle, and moved outward or inward and up or
+    down; a turn about the base's axis would change nothing but the first joint. Where that does not do, as with what a
+    camera saw, the same is tried with its middle where the flange rests.
 
     Raises:
         BadInputError: there is none.
     """
+    from koopdqn.tasks.workcell import JUMP
+
     middle = np.concatenate(trajectories)[:, pose.POSITION].mean(axis=0)
-    tried = 0
     rest = reachability.arm.forward(reachability.arm.home)[pose.POSITION]
+    tried, fast = 0, []
+
+    def followed(placement: Placement) -> bool:
+        return all(not blocked_at(reachability, placement.poses(rows)) for rows in trajectories)
+
+    still = Placement(np.zeros(3), 0.0)
+    if followed(still):
+        return still
     for placement in chain(_candidates(middle, middle), _candidates(middle, rest)):
         tried += 1
-        placed = [placement.poses(rows) for rows in trajectories]
-        # Coarsely first: faster, and stricter where joints are fast.
-        if all(not blocked_at(reachability, rows, every) for every in (_EVERY, 1) for rows in placed):
+        # Coarsely first, which is faster.
+        ends = {reachability.follow_as_far(placement.poses(rows)[::_EVERY])[1].reason for rows in trajectories}
+        if ends == {""} and followed(placement):
+            return placement
+        if ends <= {"", JUMP}:
+            fast.append(placement)
+    for placement in fast:
+        if followed(placement):
             return placement
     raise BadInputError(
         f"demos.place=auto: must find a place where the arm can follow all {len(trajectories)} demonstrations, found"
@@ -214,14 +229,13 @@ def find_placement(reachability: "Reachability", trajectories: Sequence[Array]) 
     )
 
 
-def blocked_at(reachability: "Reachability", trajectory: Array, every: int = 1) -> str:
-    """Return where and why the arm cannot follow every ``every``-th pose of a trajectory (N, 7); empty if it can."""
-    rows = trajectory[::every]
-    joints, motion = reachability.follow_as_far(rows)
+def blocked_at(reachability: "Reachability", trajectory: Array) -> str:
+    """Return where and why the arm cannot follow a trajectory (N, 7); empty if it can."""
+    joints, motion = reachability.follow_as_far(trajectory)
     if motion.joints is not None:
         return ""
-    share, place = len(joints) / max(len(rows) - 1, 1), np.round(rows[len(joints), pose.POSITION], 3).tolist()
-    return f"{share:.0%} of its way, at {place} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
+    share, place = len(joints) / max(len(trajectory) - 1, 1), np.round(trajectory[len(joints), pose.POSITION], 3)
+    return f"{share:.0%} of its way, at {place.tolist()} m: {motion.reason.replace('_', ' ')}: {motion.detail}"
 
 
 def _candidates(middle: Array, place: Array) -> Iterator[Placement]:

@@ -41,7 +41,7 @@ class Derived:
         task: the task.
         training: without idle ends and sensor noise, each bent to end at the goal.
         held_out: kept for evaluation, without idle ends and sensor noise, with their own ends and orientation; with the
-            goal's orientation where that is free.
+            goal's orientation where that is free, or held because it was asked for.
         notes: lines for people about the result.
     """
 
@@ -116,7 +116,8 @@ class Derivation(TaskChoice):
             *_about_together(learned),
             *self._about_held_out(aside, learned, goal, turning),
         )
-        if turning == "free":
+        # What the task asks for, which may be less than was demonstrated.
+        if turning == "free" or self.turning == "held":
             aside = [_oriented(item, goal, turning) for item in aside]
         return Derived(task, training, tuple(aside), notes)
 
@@ -260,8 +261,9 @@ def _about_ends(task: DemonstratedTask, spread: float) -> str:
 
 
 def _about_motion(task: DemonstratedTask, turned: float) -> str:
+    left = turned > task.held_limit_rad
     meaning = {
-        "held": "held, as demonstrated",
+        "held": "held, the goal's is kept and what was demonstrated left out" if left else "held, as demonstrated",
         "geodesic": "geodesic, the demonstrated turn to the goal is learned",
         "full": "full, the demonstrated turn is learned about whatever axis",
         "free": "free, the goal's is kept and what was demonstrated left out",

@@ -27,7 +27,11 @@ class DemonstrationSettings(Settings):
     """Number and speed of generated demonstrations."""
 
     count: int = Field(ge=1, le=1000)
-    speed_m_s: float = Field(ge=0.001, le=1.0, description="average speed of the flange [m/s]")
+    speed_m_s: float = Field(
+        ge=0.001,
+        le=1.0,
+        description="speed of the flange between its slow start and end, about which the pace varies [m/s]",
+    )
     pace_variation: float = Field(ge=0, lt=1, description="largest change of the speed, as a share of it")
     sample_seconds: float = Field(ge=0.001, le=0.2, description="time between two recorded samples [s]")
 

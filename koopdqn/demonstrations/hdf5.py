@@ -76,7 +76,7 @@ def write_hdf5(path: Path, demonstrations: Demonstrations) -> None:
 
 
 def read_hdf5(path: Path) -> Demonstrations:
-    """Read demonstrations written by :func:`write_hdf5`, or by others in robomimic's layout.
+    """Read demonstrations written by :func:`write_hdf5`.
 
     The library reads the file in a process of its own, bounded in time and memory (:mod:`koopdqn.confined`): a damaged
     file can make it hang where nothing interrupts it.

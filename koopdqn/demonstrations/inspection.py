@@ -11,7 +11,7 @@ from koopdqn.demonstrations.cleaning import Cleaned, jump_of, without_outliers
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.demonstrations.preprocess import noise_of, trim_idle
 from koopdqn.demonstrations.schema import Finding, InspectedDemonstration, Pair
-from koopdqn.paths import arc_lengths, mean_poses, to_count, way_lengths
+from koopdqn.paths import arc_lengths, between, mean_poses, to_count, way_lengths
 from koopdqn.pose import POSITION, Array
 from koopdqn.robot.arm import Arm
 
@@ -55,8 +55,11 @@ class Followed:
 
 def follow(item: Demonstration, arm: Arm) -> Followed:
     """Return how the arm follows a demonstration, in whichever posture it comes farthest and then slowest."""
-    rows = np.unique(np.linspace(0, len(item) - 1, _TRIED).astype(int))
-    times, poses = item.times[rows], item.poses[rows]
+    # Between few samples too, as it is learned at the agent's step.
+    at = np.linspace(0, len(item) - 1, _TRIED)
+    low = np.minimum(at.astype(int), len(item) - 2)
+    times = np.interp(at, np.arange(len(item)), item.times)
+    poses = between(item.poses[low], item.poses[low + 1], at - low)
     starts = arm.solutions(poses[0])
     if not len(starts):
         return Followed(0.0, arm.inverse(poses[0], np.array(arm.home)).reason, None, None)

@@ -76,7 +76,7 @@ def align_goal(item: Demonstration, goal: Array) -> Demonstration:
     """Return a demonstration bent to end at the goal (7,), without its joint angles.
 
     Poses are moved and turned by a share of the end's offset: a smooth step from 0 to 1 over the last part of the path,
-    which is ten times as long as the offset, or half the path if that is longer.
+    which is ten times as long as the offset, or half the path if that is shorter.
     """
     offset = goal[pose.POSITION] - item.poses[-1, pose.POSITION]
     arc = arc_lengths(item.poses[:, pose.POSITION])

@@ -22,7 +22,6 @@ def files_of(sources: Sources) -> list[Path]:
     Raises:
         BadInputError: there is none, a glob matches nothing, or a file is named twice.
     """
-    found: list[Path] = []
     if isinstance(sources, str | Path):
         sources = (sources,)
     sources = list(sources) if isinstance(sources, Iterable) else sources
@@ -30,6 +29,24 @@ def files_of(sources: Sources) -> list[Path]:
         raise BadInputError(f"demos: must be a path or a glob, or several, found {shown(sources)}")
     if not sources:
         raise BadInputError("demos: must name a file at least, found none")
+    try:
+        found = _found(sources)
+    # A pattern that is none, a home of nobody, a link to itself.
+    except (RuntimeError, ValueError, OSError) as error:
+        raise BadInputError(f"demos: must name files, found {', '.join(map(str, sources))}: {error}") from error
+    spelled: dict[Path, Path] = {}
+    for path, place in found:
+        # In whatever spelling, or through a link.
+        before = spelled.setdefault(place, path)
+        if before is not path:
+            other = "" if before == path else f", as {before} too"
+            raise BadInputError(f"demos: must name every file once, found twice {path}{other}")
+    return [path for path, _ in found]
+
+
+def _found(sources: Iterable[str | Path]) -> list[tuple[Path, Path]]:
+    """Return the files of sources, and where each lies, whatever it is called."""
+    found: list[Path] = []
     for source in sources:
         named = str(Path(source).expanduser())
         # A file may have a bracket or an asterisk in its name.
@@ -42,14 +59,7 @@ def files_of(sources: Sources) -> list[Path]:
             if not paths:
                 raise BadInputError(f"demos: must name files, found none that match {source}")
         found += paths
-    spelled: dict[Path, Path] = {}
-    for path in found:
-        # In whatever spelling, or through a link.
-        before = spelled.setdefault(path.resolve(), path)
-        if before is not path:
-            other = "" if before == path else f", as {before} too"
-            raise BadInputError(f"demos: must name every file once, found twice {path}{other}")
-    return found
+    return [(path, path.resolve()) for path in found]
 
 
 def read_files(sources: Sources, declared: ImportSettings, arm: Arm | None) -> list[Loaded]:

@@ -4,13 +4,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, ValidationError
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
 from koopdqn.paths import SmoothPath, mean_poses
 from koopdqn.pose import Array
-from koopdqn.settings import Sha256
+from koopdqn.settings import Sha256, flaw
 from koopdqn.tasks.person import ReferencePath
 from koopdqn.tasks.start_frame import StartFrame
 from koopdqn.tasks.task import Task
@@ -29,10 +29,10 @@ CLEAR_OF_GOAL = 3.0
 
 
 class DemonstratedTask(Task):
-    """The arm, alone in its scene, repeats what training demonstrations showed.
+    """The arm, alone in its scene but for obstacles, repeats what training demonstrations showed.
 
     Where the goal moves, demonstrations move with it: all poses are told as seen from the goal, as if it were where it
-    was demonstrated, and starts are drawn as they then lie. The arm alone is in the world.
+    was demonstrated, and starts are drawn as they then lie.
 
     The fields identify the task in artifacts. The demonstrations are not among them; :meth:`shown` takes them.
     """
@@ -64,9 +64,13 @@ class DemonstratedTask(Task):
         """Return the task with these fields and training trajectories (N, 7) at the agent's step.
 
         Raises:
-            ValidationError: a field breaks a rule.
+            BadInputError: a field breaks a rule.
         """
-        return cls.model_validate(fields).showing(trajectories)
+        try:
+            task = cls.model_validate(fields)
+        except ValidationError as error:
+            raise BadInputError(f"task {fields['name']}: {flaw(error).removeprefix('Value error, ')}") from error
+        return task.showing(trajectories)
 
     def showing(self, trajectories: list[Array], unfolding: Unfolding | None = None) -> Self:
         """Return the task, as read from an artifact, with training trajectories (N, 7) at the agent's step.

@@ -73,13 +73,17 @@ class StartRegression:
         """Return the regression with these :meth:`arrays`; None where there are none.
 
         Raises:
-            ValueError: one is not finite, or the path is no path.
+            ValueError: one is not finite or of another shape, or the path is no path.
         """
         if "path" not in held:
             return None
         arrays = [np.asarray(held[each.name], dtype=float) for each in fields(cls)]
-        if len(arrays[0]) < 2 or not all(np.isfinite(each).all() for each in arrays):
+        count = len(arrays[0]) if arrays[0].ndim else 0
+        if count < 2 or not all(np.isfinite(each).all() for each in arrays):
             raise ValueError("the start frame's path must have at least two places, and all of it be finite")
+        expected, found = [(count, 3), (count, 3, 3), (3,), ()], [each.shape for each in arrays]
+        if found != expected:
+            raise ValueError(f"the start frame's arrays must be of shapes {expected}, found {found}")
         return cls(*arrays)
 
     @classmethod

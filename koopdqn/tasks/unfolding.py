@@ -27,6 +27,8 @@ _SPREADS, _STEPS = 2.0, 4.0
 _LIFTED, _STEEPEST = 3.0, 0.5
 # Iterations of the inverse.
 _ITERATIONS = 3
+# Places of a leg, between which something is nearest.
+_LEAST_LEG = 2
 # Positions that differ by less [m] are the same; starts of legs differ by more.
 _SAME, _HAIR = 1e-9, 1e-6
 
@@ -196,7 +198,7 @@ class Unfolding:
         """Return the unfolding with these :meth:`arrays`; None where there are none.
 
         Raises:
-            ValueError: a number is not finite, the path is no path, or a cut lies beyond it.
+            ValueError: a number is not finite, the path is no path, or a cut leaves no leg.
         """
         if "unfolding_path" not in held:
             return None
@@ -207,8 +209,8 @@ class Unfolding:
             raise ValueError(f"the unfolding must have a path of three poses at least, found {path.shape}")
         if not all(np.isfinite(each).all() for each in (path, axis, lifts)):
             raise ValueError("the unfolding must be of finite numbers")
-        inside = cuts.ndim == 1 and len(cuts) > 0 and bool(((cuts > 0) & (cuts < count - 1)).all())
-        if not inside or (np.diff(cuts) <= 0).any() or back.shape != cuts.shape or overlap.shape != () or overlap < 1:
+        inside = cuts.ndim == 1 and len(cuts) > 0 and bool((np.diff([0, *cuts, count - 1]) >= _LEAST_LEG).all())
+        if not inside or back.shape != cuts.shape or overlap.shape != () or overlap < 1:
             raise ValueError(f"the unfolding must be cut on its path, in order, found {cuts.tolist()}")
         whole = cuts.astype(int), back.astype(bool), overlap.astype(int)
         return cls(path.astype(float), axis.astype(float), lifts.astype(float), *whole)
