@@ -140,6 +140,11 @@ def test_time_left_comes_from_the_pace_so_far(monkeypatch: pytest.MonkeyPatch) -
     watched.env_steps, watched.learner.updates = 1_000, 5
     # 15 updates to two checks at one in 2 s, and 9,000 actions at 100 a second.
     assert board._left() == "0:30 to 1:30"
+    # Three of four episodes in those 10 s, or all.
+    watched.history.rewards.extend([0.0] * 3)
+    watched.settings = watched.settings.model_copy(update={"max_episodes": 4})
+    assert board._left().endswith("to 0:03")
+    watched.history.rewards.clear()
     watched.progress.learned_at = 1_000
     watched.settings = watched.settings.model_copy(update={"stop": "limit", "extend": 3.0})
     assert board._left() == "0:20"

@@ -1,6 +1,7 @@
 """What `koopdqn explain` shows: the step that tells most, and what is known of the ten actions there."""
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from koopdqn.pose import Array
 from koopdqn.rl.policy import write_corrected
 from koopdqn.tasks.rollout import RULE_BROKEN, STEP_LIMIT, STUCK, SUCCESS, Episode
 from koopdqn.view.explain import Walk, left_at, telling_step
-from koopdqn.view.schema import ExplainFile
+from koopdqn.view.schema import ExplainFile, ExplainSettings
 
 COUNT = 30
 
@@ -205,6 +206,13 @@ def test_people_are_told_in_a_table(run: Path, tmp_path: Path, capsys: pytest.Ca
     for part in ("path     start 0: ", "trusted  ", "9 -z", "explain.png"):
         assert part in told
     assert told.count(" > ") == 1
+
+
+def test_a_pose_of_few_digits_is_of_length_1() -> None:
+    pose = ExplainSettings(start=None, step=None, pose=(0.4, -0.2, 0.45, 0.707, 0.0, 0.707, 0.0)).pose
+    assert pose is not None
+    assert pose[:3] == (0.4, -0.2, 0.45)
+    assert math.hypot(*pose[3:]) == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

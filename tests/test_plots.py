@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from parts import load_parts
 from PIL import Image
 
 from koopdqn import pose
@@ -159,6 +160,25 @@ def test_fit_shades_the_steps_at_which_the_expert_is_asked(
         shares.append((np.abs(pixels - shade).max(axis=2) < 2).mean())
     assert shares[0] == 0.0
     assert shares[1] > 0.1
+
+
+@pytest.mark.parametrize(("matching", "asked"), [("nowhere", True), ("everywhere", False)])
+def test_a_domain_without_a_place_is_not_drawn(
+    tmp_path: Path, demonstrations: "Demonstrations", matching: str, asked: bool
+) -> None:
+    from koopdqn.intent.fit import fit as fit_intent
+
+    chosen, path = load_parts(f"trust={matching}"), tmp_path / "fit.png"
+    fitted = fit_intent(demonstrations, chosen.task, chosen.intent, chosen.trust, chosen.reward)
+    plot_fit(path, fitted, demonstrations, chosen.task)
+    pixels = check_png(path, fit.WIDTH, fit.HEIGHT)
+
+    def share(colour: str) -> float:
+        return float((np.abs(pixels - np.array(mpl.colors.to_rgb(colour)) * 255).max(axis=2) < 2).mean())
+
+    # The legend alone names what is trusted.
+    assert share(style.TRUST) < 0.001
+    assert (share(style.ASK) > 0.1) == asked
 
 
 def test_training(tmp_path: Path, history: History, train_report: dict[str, Any]) -> None:

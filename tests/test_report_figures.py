@@ -143,10 +143,11 @@ def test_the_turn_is_half_done_early(tmp_path: Path, handed: "list[Array]", knif
 def test_a_sweep_is_drawn_with_quantities_that_nobody_measured(tmp_path: Path) -> None:
     variants = [
         ("intent=paper", {"time [s]": [3.0, 4.0, 8.0], "deviation [mm]": []}),
-        ("as given", {"time [s]": [2.0]}),
+        # A dollar is no mathematics.
+        ("demos=US$5_and_$6.csv", {"time [s]": [2.0]}),
     ]
     variants[1][1]["deviation [mm]"] = []
-    check_drawn(tmp_path, lambda path: plot_sweep(path, "Sweep", variants))
+    check_drawn(tmp_path, lambda path: plot_sweep(path, "Sweep of $a_$b", variants))
 
 
 @pytest.mark.draws

@@ -73,9 +73,14 @@ class Box(TrustDomain):
 
     places = ("mean", "deviation")
 
+    @property
+    def shaped(self) -> bool:
+        """Whether states are compared with the demonstrations' steps."""
+        return self.settings.matching in ("step", "any")
+
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether a box (with matching by step, that of their step) contains poses (N, 7), and its doubt."""
-        if self.settings.matching in ("everywhere", "nowhere"):
+        if not self.shaped:
             everything = np.full(len(poses), self.settings.matching == "everywhere")
             return everything, np.full(len(poses), self.settings.doubts[0])
         rows = components_of(poses, self.frame)
@@ -92,14 +97,14 @@ class Box(TrustDomain):
 
     def depth(self, poses: Array) -> Array:
         """Return the distances (N,) of poses (N, 7) from the nearest box's center, in half widths."""
-        if self.settings.matching in ("everywhere", "nowhere"):
+        if not self.shaped:
             return np.full(len(poses), 0.0 if self.settings.matching == "everywhere" else np.inf)
         rows = components_of(poses, self.frame)
         return np.asarray(self._sigmas(rows).max(axis=2).min(axis=1) / self.settings.sigmas)
 
     def gap(self, poses: Array) -> Array:
         """Return the distances (N,) [m] of the positions of poses (N, 7) from the nearest box."""
-        if self.settings.matching in ("everywhere", "nowhere"):
+        if not self.shaped:
             return np.zeros(len(poses))
         width = self.settings.sigmas * self.deviation[:, :3]
         outside = np.abs(poses[:, None, :3] - self.mean[:, :3]) - width

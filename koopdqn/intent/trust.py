@@ -122,6 +122,11 @@ class TrustDomain(ABC):
     places: ClassVar[tuple[str, ...]] = ()
     """Names of the arrays (S, ...) of its places, the first of which begins with positions."""
 
+    @property
+    def shaped(self) -> bool:
+        """Whether it lies somewhere; one that trusts everything or nothing does not."""
+        return True
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what the domain consists of but its settings and balls, as arrays."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("settings", "balls")}

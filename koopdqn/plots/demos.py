@@ -22,6 +22,8 @@ INSPECTED_SIZE = 1560, 960
 """Width and height of the picture of an inspection [pixels]."""
 _WITHOUT_VARIATION: Final[dict[str, Any]] = {"color": style.MEANT, "linestyle": ":", "linewidth": 1.4}
 _SPEED_WINDOW_S = 0.1
+_LEAST_TURN_DEG = 4.0
+"""The axis of turns goes as far at least."""
 
 
 def plot_demonstrations(path: Path, demonstrations: Demonstrations, task: Task, image: Image | None) -> None:
@@ -136,6 +138,8 @@ def plot_inspection(
             turns.plot(time, np.degrees(pose.rotation_distance(item.poses, item.poses[-1])), color=colour)
             way = arc_lengths(item.poses[:, pose.POSITION])
             speeds.plot(time[1:], np.diff(way) / np.diff(time), color=colour)
+        # What is held turns by rounding alone.
+        turns.set_ylim(0.0, max(turns.get_ylim()[1], _LEAST_TURN_DEG))
         turns.set(title="Turn left to its end", ylabel="[°]", xlabel="time [s]")
         speeds.set(title="Speed of the flange", ylabel="[m/s]", xlabel="time [s]")
         _shares(figure.add_subplot(grid[0, 2]), each, colours)
@@ -159,14 +163,14 @@ def _paths(
 def _shares(axes: Axes, each: Sequence[InspectedDemonstration], colours: Sequence[str]) -> None:
     places = np.arange(len(each))
     axes.bar(places - 0.2, [100.0 * one.reached for one in each], 0.4, color=style.GREEN, label="way followed")
-    speeds = [100.0 * (one.joint_speed or 0.0) for one in each]
+    speeds = [np.nan if one.joint_speed is None else 100.0 * one.joint_speed for one in each]
     axes.bar(places + 0.2, speeds, 0.4, color=style.ORANGE, label="joint speed, of its limit")
     axes.axhline(100.0, color=style.INK, linestyle=":")
     axes.set(title="On the arm", ylabel="[%]", xlabel="demonstration")
     axes.set_xticks(places)
     for tick, colour in zip(axes.get_xticklabels(), colours, strict=True):
         tick.set_color(colour)
-    axes.set_ylim(0.0, 1.35 * max(100.0, *speeds))
+    axes.set_ylim(0.0, 1.35 * max(100.0, float(np.nanmax([0.0, *speeds]))))
     axes.legend(loc="upper left", ncols=2)
 
 

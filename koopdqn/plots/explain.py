@@ -57,7 +57,7 @@ def plot_explanation(
     here = np.array(content["pose"])[POSITION]
     paths = [*demonstrated, *([] if learned is None else [learned])]
     # A name with dollar signs is no formula.
-    with style.picture(path, title.replace("$", r"\$"), WIDTH, HEIGHT) as figure:
+    with style.picture(path, title, WIDTH, HEIGHT) as figure:
         columns = figure.add_gridspec(1, 2, width_ratios=(2.1, 1))
         whole, near = columns[0].subgridspec(2, 2, height_ratios=(1, 1)).subplots(squeeze=False)
         for top, bottom, plane in zip(whole, near, style.two_planes(paths), strict=True):

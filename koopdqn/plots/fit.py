@@ -95,7 +95,7 @@ def _errors(axes: Axes, fitted: Fitted, kind: str, scale: float, tolerance: floa
     limit = tolerance * scale
     per_step = fitted.report[f"one_step_error_per_step_{kind}"]
     mean, largest = (np.array(per_step[name]) * scale for name in ("mean", "max"))
-    shade(axes, ~fitted.trust.known, len(mean))
+    shade(axes, _asked(fitted.trust), len(mean))
     axes.plot(mean, color=style.BLUE, label="mean over demonstrations")
     axes.plot(largest, color=style.SKY, linewidth=1.0, label="largest")
     axes.axhline(limit, color=style.INK, linestyle="--", linewidth=1.2, label=f"compare tolerance: {limit:.3g} {unit}")
@@ -159,6 +159,8 @@ def _roll_outs(fitted: Fitted, trajectories: list[Array], task: Task) -> list[Ar
 
 def _tube(axes: Axes, trust: TrustDomain, plane: str) -> Array:
     """Draw the trust domain at every place, in another colour where the model errs; return its corners (M, 3)."""
+    if not trust.shaped:
+        return np.zeros((0, 3))
     middle, width = _extent(trust)
     i, j = style.PLANES[plane]
     if isinstance(trust, Tube):
@@ -182,8 +184,19 @@ def _extent(trust: TrustDomain) -> tuple[Array, Array]:
     return np.zeros((len(trust.right), 3)), np.zeros((len(trust.right), 3))
 
 
+def _asked(trust: TrustDomain) -> np.ndarray:
+    """Return at which of its places (S,) too few rewards are right; all where nothing is trusted, else none."""
+    return ~trust.known if trust.shaped else np.full(len(trust.right), _trusts_nothing(trust))
+
+
+def _trusts_nothing(trust: TrustDomain) -> bool:
+    return isinstance(trust, Box) and trust.settings.matching == "nowhere"
+
+
 def _named(trust: TrustDomain) -> str:
     """Return what the legend says of the trust domain."""
+    if not trust.shaped:
+        return "nothing is trusted" if _trusts_nothing(trust) else "trusted everywhere"
     if isinstance(trust, Tube):
         radius = trust.radius[:, 0] * _MM
         return f"trusted: radius {style.two_digits(radius.min())} to {style.two_digits(radius.max())} mm"
@@ -204,9 +217,9 @@ def _path_handles(axes: Axes, trust: TrustDomain) -> list[Any]:
     handles: list[Patch | Line2D] = [
         Line2D([], [], color=style.DEMONSTRATED, label="demonstration"),
         Line2D([], [], color=style.BLUE, linestyle=(0, (4, 2)), label="intent, rolled out"),
-        Patch(color=style.TRUST, label=_named(trust)),
+        Patch(color=style.ASK if _trusts_nothing(trust) else style.TRUST, label=_named(trust)),
     ]
-    if not trust.known.all():
+    if trust.shaped and not trust.known.all():
         handles.append(Patch(color=style.ASK, label="too few rewards right: ask"))
     existing, _ = axes.get_legend_handles_labels()
     return [*handles, *existing]

@@ -93,7 +93,7 @@ def picture(path: Path, title: str, width: int, height: int) -> Iterator[Figure]
         mpl.rcParams.update(_STYLE)
         figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, layout="constrained")
         FigureCanvasAgg(figure)
-        figure.suptitle(title, x=0.01, ha="left")
+        figure.suptitle(title, x=0.01, ha="left", parse_math=False)
         yield figure
         with atomic_path(path) as temporary:
             figure.savefig(temporary, format="png", metadata={"Software": None})

@@ -164,7 +164,8 @@ def _rewards_of_seeds(axes: Axes, reports: Sequence[Mapping[str, Any]]) -> None:
         (~exploring, style.ORANGE, 5, "whole"),
     ):
         look: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": size, "color": colour}
-        axes.plot(number[chosen], every[chosen], label=f"an episode, {label}", **look)
+        if chosen.any():
+            axes.plot(number[chosen], every[chosen], label=f"an episode, {label}", **look)
     curves = [running_mean(each) for each in rewards if len(each) >= WINDOW]
     for index, curve in enumerate(curves):
         once = None if index else f"a seed, mean of {WINDOW} episodes"
@@ -172,8 +173,9 @@ def _rewards_of_seeds(axes: Axes, reports: Sequence[Mapping[str, Any]]) -> None:
     if curves:
         shared = min(map(len, curves))
         together, episode = np.array([curve[:shared] for curve in curves]), np.arange(shared) + WINDOW
-        mean, deviation = together.mean(axis=0), together.std(axis=0)
+        mean = together.mean(axis=0)
         if len(curves) > 1:
+            deviation = together.std(axis=0, ddof=1)
             low, high = mean - deviation, mean + deviation
             axes.fill_between(episode, low, high, color=style.BLUE, alpha=0.18, lw=0, label="± 1 σ over seeds")
         label = f"mean over {len(curves)} seeds" if len(curves) > 1 else "mean of the one seed"
@@ -237,5 +239,5 @@ def plot_sweep(path: Path, title: str, variants: Sequence[tuple[str, Mapping[str
             axes.locator_params(axis="x", nbins=5)
             axes.set_xlabel(name)
             axes.grid(False, axis="y")
-        panels[0].set_yticks(range(len(variants)), [label for label, _ in variants])
+        panels[0].set_yticks(range(len(variants)), [label for label, _ in variants], parse_math=False)
         panels[0].set_ylim(len(variants) - 0.5, -0.5)

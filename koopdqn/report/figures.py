@@ -75,8 +75,8 @@ def shelf_components(material: Material, folder: Path) -> Figure:
         steps.plot_components(folder / f"figure-3-{what}.png", trajectories, task, first, material.sigmas)
     caption = (
         f"All {len(trajectories)} demonstrations, aligned by the share of their path and resampled to the agent's step:"
-        f" mean, samples, and the band of {material.sigmas:g} standard deviations; the trust domain adds floors to"
-        " them. Roll, pitch and yaw are relative to the goal's orientation and stay at zero."
+        f" mean, samples, and the band of {material.sigmas:g} standard deviations. Roll, pitch and yaw are relative to"
+        " the goal's orientation and stay at zero."
     )
     title, files = "Distributions of the pose components, shelf", ["figure-3-position.png", "figure-3-orientation.png"]
     return Figure("3", title, caption, files, [material.run.demonstrations_file])
@@ -206,11 +206,14 @@ def rewards(number: str, task: str, preset: str, runs: Sequence[Run], folder: Pa
     exploring = np.mean([np.mean(run.train["exploring_episode"] or [0.0]) for run in runs])
     seeds = ", ".join(str(run.seed) for run in runs)
     spread = f"seeds {seeds}" if len(runs) > 1 else f"seed {seeds} alone, so that no spread is drawn"
+    short = (
+        f" Episodes run side by side, and {exploring:.0%} of them are short ones that explore, so that sums depend on"
+        " length as well as on what is right."
+    )
     caption = (
         f"Sum of rewards in each episode ({spread}). A running mean covers {WINDOW} episodes; mean and spread over"
-        " seeds end with the seed that learned first. Episodes run side by side, and most are short ones that explore"
-        f" ({exploring:.0%} of them), so that sums depend on length as well as on what is right; the checks below, of"
-        " the policy alone, show learning more plainly."
+        f" seeds end with the seed of fewest episodes.{short if exploring else ''} The checks below, of the policy"
+        " alone, show learning more plainly."
     )
     title, sources = f"Reward per episode, {task}, {preset} preset", [run.train_file for run in runs]
     return Figure(number, title, caption, [name], sources, "half")

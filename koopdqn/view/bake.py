@@ -108,7 +108,7 @@ def baked_trust(trust: TrustDomain) -> dict[str, Any]:
     vertices, faces = np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
     if isinstance(trust, Tube):
         vertices, faces = _surface(trust.middle[:, :3], np.tile(trust.radius[:, :1], 3), trust.known, 2)
-    elif isinstance(trust, Box) and trust.settings.matching not in ("everywhere", "nowhere"):
+    elif isinstance(trust, Box) and trust.shaped:
         half = trust.settings.sigmas * trust.deviation[:, :3]
         vertices, faces = _surface(trust.mean[:, :3], half, trust.known, np.inf)
     balls = [

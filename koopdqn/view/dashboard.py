@@ -74,7 +74,7 @@ class Dashboard:
         self._frame = np.concatenate([*self._tracks, [middle - half, middle + half, task.goal[POSITION]]])
         self._plane = widest_plane(self._frame)
         self._began = monotonic() - seconds
-        self._from = monotonic(), trainer.env_steps, trainer.learner.updates
+        self._from = monotonic(), trainer.env_steps, trainer.learner.updates, len(trainer.history.rewards)
         self._recent: deque[tuple[float, int]] = deque([self._from[:2]])
         self._due = 0.0
         self._live: Live | None = None
@@ -187,18 +187,25 @@ class Dashboard:
     def _left(self) -> str:
         """Return how long the training still takes, at least and at most, at the pace so far."""
         trainer, settings = self._trainer, self._trainer.settings
-        began, steps, updates = self._from
+        began, steps, updates, episodes = self._from
         seconds = monotonic() - began
         done = trainer.env_steps - steps
         if not done:
             return "–"
+
+        def until(end: int) -> str:
+            left, finished = max(end - trainer.env_steps, 0) * seconds / done, len(trainer.history.rewards)
+            if finished > episodes:
+                left = min(left, max(settings.max_episodes - finished, 0) * seconds / (finished - episodes))
+            return _clock(left)
+
         end = settings.max_steps
         if trainer.learned:
             # What stops at once when it has learned is shown no more.
             if settings.extend is not None:
                 end = min(end, int(settings.extend * trainer.progress.learned_at))
-            return _clock(max(end - trainer.env_steps, 0) * seconds / done)
-        most = _clock((end - trainer.env_steps) * seconds / done)
+            return until(end)
+        most = until(end)
         made = trainer.learner.updates - updates
         if not made or settings.stop == "limit":
             return f"at most {most}"

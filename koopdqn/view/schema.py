@@ -39,10 +39,14 @@ class ExplainSettings(Settings):
     @field_validator("pose")
     @classmethod
     def _check_pose(cls, pose: Vector7 | None) -> Vector7 | None:
-        length = 1.0 if pose is None else math.hypot(*pose[3:])
+        if pose is None:
+            return None
+        length = math.hypot(*pose[3:])
         if abs(length - 1.0) > 1e-3:
             raise ValueError(f"must have a quaternion of length 1 within 0.001, found {length:g}")
-        return pose
+        x, y, z, *turn = pose
+        a, b, c, d = (each / length for each in turn)
+        return x, y, z, a, b, c, d
 
 
 class CompareSettings(Settings):

@@ -190,7 +190,7 @@ def tube(trust: TrustDomain) -> list[Line]:
     """Return the trust domain as thick lines seen through, left open where nothing is trusted."""
     if isinstance(trust, Tube):
         middle, radius = trust.middle[:, POSITION], trust.radius[:, 0]
-    elif isinstance(trust, Box) and trust.settings.matching not in ("everywhere", "nowhere"):
+    elif isinstance(trust, Box) and trust.shaped:
         middle, radius = trust.mean[:, :3], trust.settings.sigmas * trust.deviation[:, :3].mean(axis=1)
     else:
         return []

@@ -74,6 +74,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
             f"run {console.shown_path(source)}",
             f"{len(run.demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
             f"rule: {config.task.rule}",
+            *_first_of(len(run.demonstrations)),
             *(" ".join(remark) for remark in run.beside),
             *(f"{motion.name}: {motion.remark}" for motion in learned if motion.fails),
         ),
@@ -105,13 +106,17 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     stopped = [f"{motion.name}: {motion.remark}" for motion in shown if len(motion.joints) < len(motion.poses)]
     return Shown(
         f"koopdqn: {count}" + ("" if task is None else f" of task {task.name}"),
-        (", ".join(sources), f"{samples} samples", *stopped),
+        (", ".join(sources), f"{samples} samples", *_first_of(len(demonstrations)), *stopped),
         scene,
         shown,
         [item.poses[:, POSITION] for item in demonstrations.items],
         None,
         None if task is None else task.goal,
     )
+
+
+def _first_of(count: int) -> list[str]:
+    return [f"the arm follows the first {_FOLLOWED} of {count} demonstrations"] if count > _FOLLOWED else []
 
 
 def _task_of(config: Configuration, name: str | None) -> Task | None:
