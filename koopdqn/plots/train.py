@@ -184,7 +184,8 @@ def _rewards_of_seeds(axes: Axes, reports: Sequence[Mapping[str, Any]]) -> None:
     axes.set(ylim=(low, high + 0.3 * (high - low)), ylabel="reward gathered in the episode")
     axes.set_xlim(left=0)
     axes.set_xlabel("episode, in the order in which they ended")
-    axes.legend(loc="upper left", ncols=2)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="upper left", ncols=2)
 
 
 def _checks_of_seeds(axes: Axes, reports: Sequence[Mapping[str, Any]]) -> None:
