@@ -5,8 +5,9 @@ import pytest
 
 from koopdqn import pose
 from koopdqn.app.api import load_config
+from koopdqn.intent.validation import cross_validate, jackknife_signs
 from koopdqn.intent.whole_pose import WholePoseSettings
-from koopdqn.paths import between
+from koopdqn.paths import between, mean_poses
 from koopdqn.pose import Array
 from koopdqn.tasks.task import Task
 
@@ -49,6 +50,21 @@ def test_demonstrations_from_beside_the_middle_teach_the_path_from_the_middle(
     shown = beside(task, offsets, fading_m)
     as_they_are = settings.model_copy(update={"from_middle": False})
     assert off_the_path(task, settings, shown) < 0.3 * off_the_path(task, as_they_are, shown)
+
+
+def test_what_is_moved_is_judged_by_what_is_moved(shelf: tuple[Task, WholePoseSettings]) -> None:
+    """The mean of few starts lies beside the middle: the models of the others, begun there, are not wrong for that."""
+    task, settings = shelf
+    offsets = 0.02 + np.random.default_rng(0).normal(scale=0.01, size=(5, 3))
+    shown = beside(task, offsets, 0.04)
+    folds = cross_validate(shown, task, settings).folds
+
+    def right(mean: Array) -> float:
+        first = np.array([each[:10, 0] for each in jackknife_signs(folds, mean, task, "rescaled", [0.1])])
+        return float(first[..., 0].sum() / first[..., 1].sum())
+
+    assert right(settings.mean(shown, task)) > 0.95
+    assert right(settings.mean(shown, task)) > right(mean_poses(shown)) + 0.05
 
 
 def same(task: Task, settings: WholePoseSettings, shown: list[Array]) -> bool:

@@ -188,7 +188,7 @@ def baseline_episodes(
     yield "argmax_reward", controlled(best_by_reward)
     yield "nearest_velocity", controlled(greedy(nearest_velocity(placed, task)))
     yield "mean_tangent", controlled(greedy(mean_tangent(placed, task)))
-    yield "mean_pursuit", controlled(greedy(mean_expert(placed, task).next_pose))
+    yield "mean_pursuit", controlled(greedy(mean_expert(mean_poses(placed), task).next_pose))
     yield "nearest_demonstration", followed(lambda start: replay_path(start, trajectories, task))
     mean = mean_poses(placed)
     yield "mean_demonstration", followed(mean_path)

@@ -234,7 +234,7 @@ def fit(
     found = cross_validate(trajectories, task, intent, advance)
     model = intent.with_ridge(found.ridge).fit(trajectories, task).within(frame)
     # A single demonstration cannot be left out: all its signs count as right.
-    signs = jackknife_signs(found.folds, trajectories, task, reward.prediction, trust.doubts)
+    signs = jackknife_signs(found.folds, intent.mean(trajectories, task), task, reward.prediction, trust.doubts)
     if not signs:
         signs = [np.ones((len(trajectories[0]) - 1, len(trust.doubts), 2))]
     domain = trust.fit(trajectories, signs, task.frame)

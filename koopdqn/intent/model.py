@@ -9,6 +9,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.intent.koopman import KoopmanModel
+from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 from koopdqn.settings import Name, Settings
 from koopdqn.tasks.start_frame import STILL, StartFrame
@@ -36,6 +37,10 @@ class IntentSettings(Settings, ABC):
     def start_frame(self, trajectories: list[Array], task: Task) -> StartFrame:
         """Return the start frame in which trajectories (N, 7) are fitted."""
         return STILL
+
+    def mean(self, trajectories: list[Array], task: Task) -> Array:
+        """Return the mean path (N, 7) that the model of trajectories (N, 7) in the start frame is to lead along."""
+        return mean_poses(trajectories)
 
     @property
     def ridges(self) -> tuple[float, ...]:

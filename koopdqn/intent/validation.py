@@ -98,11 +98,10 @@ def sizes_of(errors: Array) -> Array:
     return np.stack([np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)], axis=1)
 
 
-def mean_expert(trajectories: Sequence[Array], task: Task) -> Expert:
-    """Return the expert that goes along the mean of pose trajectories (N, 7) in the start frame."""
+def mean_expert(mean: Array, task: Task) -> Expert:
+    """Return the expert that goes along a mean path (N, 7) in the start frame."""
     turn = IN_PLACE * task.rotation_tolerance_rad if task.orientation == "learned" else 0.0
-    mean = ReferencePath.along(mean_poses(trajectories))
-    return Expert(mean, _steps_ahead, task.goal, task.step_m, turn, in_full=task.turns_in_full)
+    return Expert(ReferencePath.along(mean), _steps_ahead, task.goal, task.step_m, turn, in_full=task.turns_in_full)
 
 
 def _steps_ahead(path: ReferencePath, positions: Array, arc: Array, step: float) -> Array:
@@ -110,22 +109,22 @@ def _steps_ahead(path: ReferencePath, positions: Array, arc: Array, step: float)
 
 
 def jackknife_signs(
-    folds: Sequence[Fold], trajectories: Sequence[Array], task: Task, prediction: Prediction, doubts: Sequence[float]
+    folds: Sequence[Fold], mean: Array, task: Task, prediction: Prediction, doubts: Sequence[float]
 ) -> list[Array]:
     """Return, for each state but the last of each demonstration, its number of right signs and of signs, (N − 1, L, 2).
 
     The trust domain is calibrated on them. A reward must know which actions are right, not the person's next pose to a
-    millimetre. So right is what the expert of all demonstrations' mean does: people who differ by centimetres agree on
-    it, while no model predicts the next step of a single one of them.
+    millimetre. So right is what the expert of the mean of all does, as the intent has it: people who differ by
+    centimetres agree on it, while no model predicts the next step of a single one of them.
 
     Args:
         folds: one for each demonstration; the model of the others gives the rewards.
-        trajectories: (N, 7) of all of them, in the start frame.
+        mean: (N, 7) of all of them, in the start frame (:meth:`IntentSettings.mean`).
         task: gives actions and tolerances.
         prediction: what rewards compare with.
         doubts: L guard bands as shares of the tolerance; a comparison within the band is not counted.
     """
-    expert = mean_expert(trajectories, task)
+    expert = mean_expert(mean, task)
     return [
         count_signs(fold.model, fold.held_out[:-1], expert.next_pose(fold.held_out[:-1]), task, prediction, doubts)
         for fold in folds
@@ -154,7 +153,7 @@ def left_out_share(folds: Sequence[Fold], task: Task, prediction: Prediction, do
     found = []
     for fold in folds:
         before = fold.held_out[:-1]
-        wished = mean_expert([fold.held_out], task).next_pose(before)
+        wished = mean_expert(mean_poses([fold.held_out]), task).next_pose(before)
         found.append(count_signs(fold.model, before, wished, task, prediction, [doubt]).sum(axis=(0, 1)))
     right, of = np.sum(found, axis=0)
     return float(right / of)

@@ -75,6 +75,13 @@ class WholePoseSettings(IntentSettings):
             return task.person_frame
         return StartFrame.chosen(trajectories, task.nominal_start, task.goal)
 
+    def mean(self, trajectories: list[Array], task: Task) -> Array:
+        """Return the mean path (N, 7), begun in the middle of the start region where the task itself knows one."""
+        mean = mean_poses(trajectories)
+        if self.from_middle and task.demonstrated_middle is not None:
+            return _moved_to(task.demonstrated_middle, mean, trajectories)
+        return mean
+
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
         """Return the model fitted to pose trajectories (N, 7)."""
         before, after, spread = self._states(trajectories, task)
@@ -120,9 +127,7 @@ class WholePoseSettings(IntentSettings):
         Augmented states lie in any direction from it, at log-uniform distances of one step and more, and lead back to
         it within some steps. Their orientations are random too, and turn to that of the path.
         """
-        mean = mean_poses(trajectories)
-        if self.from_middle and task.demonstrated_middle is not None:
-            mean = _moved_to(task.demonstrated_middle, mean, trajectories)
+        mean = self.mean(trajectories, task)
         path = PursuitPath.along(mean[:, pose.POSITION], self.lead_back_steps * task.step_m, self.touching_m)
         shown = to_count(mean, len(path.points))
         rng = np.random.default_rng(self.seed)
