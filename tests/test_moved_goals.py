@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from helpers_shown import arc, derivation, recorded, shown
 from parts import Clerk, load_parts, with_fields
-from pydantic import ValidationError
 
 from koopdqn import pose
 from koopdqn.app.api import load_config
@@ -187,7 +186,7 @@ def test_a_task_whose_furniture_stands_still_has_no_moving_goal() -> None:
 
 @pytest.mark.parametrize("half", [(0.0, 0.0, 0.0), (-0.1, 0.1, 0.1)])
 def test_a_goal_range_must_be_one(half: tuple[float, float, float]) -> None:
-    with pytest.raises(ValidationError, match="must not be negative, and above 0"):
+    with pytest.raises(BadInputError, match="must not be negative, and above 0"):
         _derived(half)
 
 
