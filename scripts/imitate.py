@@ -27,6 +27,7 @@ from koopdqn.app.commands import pipeline
 from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.exit_status import guard
 from koopdqn.app.hydra.compose import composed
+from koopdqn.app.hydra.folder import require_new, require_writable
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.errors import BadInputError, unknown_name
@@ -74,6 +75,8 @@ class Trained:
 def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Learn by a method from a training's demonstrations, measure it, and return the content of ``eval.json``.
 
+    The folder exists.
+
     Raises:
         BadInputError: a file of the training is missing or damaged, or an override is none of evaluating.
     """
@@ -112,7 +115,6 @@ def imitate(method: str, run: Path, folder: Path, overrides: Sequence[str] = ())
         **took,
     }
     content = measured()
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "imitation.json", about)
     # Last: it is the sign that all was made.
     write_json(folder / "eval.json", content)
@@ -200,6 +202,8 @@ def main(arguments: Sequence[str]) -> int:
             raise unknown_name("method", method, METHODS)
         if not out:
             raise BadInputError("out: must name a folder, found ''")
+        require_new(Path(out))
+        require_writable(Path(out))
         found = imitate(method, Path(run), Path(out), [f"{name}={value}" for name, value in given.items()])
         console.say(f"{method}: success {found['success_rate']:.0%}, see {out}")
         return 0

@@ -17,10 +17,10 @@ from koopdqn.app import cli
 from koopdqn.envs.display import try_window
 from koopdqn.errors import WorkFailedError
 from koopdqn.intent.tube import Tube
+from koopdqn.plots import style
 from koopdqn.plots.style import rgba
 from koopdqn.pose import POSITION
 from koopdqn.view import window as module
-from koopdqn.view.page import SOURCE_COLOURS
 from koopdqn.view.window import Player, path_lines, tube, watch
 
 SPACE, RIGHT, LEFT, DOWN, UP, HOME, END = 32, 262, 263, 264, 265, 268, 269
@@ -70,7 +70,7 @@ def test_a_path_is_drawn_whole_in_the_colours_of_its_rewards() -> None:
     lines = path_lines(replace(motion, sources=sources))
     points = np.concatenate([lines[0].points[:1], *(line.points[1:] for line in lines)])
     np.testing.assert_array_equal(points, motion.poses[:, POSITION])
-    assert [line.rgba for line in lines[:2]] == [rgba(SOURCE_COLOURS[1]), rgba(SOURCE_COLOURS[4])]
+    assert [line.rgba for line in lines[:2]] == [rgba(style.SOURCES["trusted"]), rgba(style.SOURCES["certified"])]
     np.testing.assert_array_equal(lines[1].points[0], motion.poses[29, POSITION])
 
 

@@ -39,6 +39,8 @@ SERIES: Final = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
 LEARNED: Final = BLUE
 DEMONSTRATED: Final = ORANGE
 MEANT: Final = INK
+SOURCES: Final = {"rule": INK, "trusted": GREEN, "asked": RED, "remembered": PINK, "certified": SKY}
+"""Of where a reward came from, by :data:`koopdqn.intent.reward.SOURCES`."""
 TRUST: Final = "#CDEBDF"
 ASK: Final = "#F7D9C4"
 

@@ -16,13 +16,6 @@ from koopdqn.rl.checks import History
 WIDTH, HEIGHT = 1560, 900
 WINDOW = 25
 """Episodes in the running mean."""
-_SOURCE_COLOURS = {
-    "rule": style.GREY,
-    "trusted": style.GREEN,
-    "asked": style.ORANGE,
-    "remembered": style.SKY,
-    "certified": style.BLUE,
-}
 
 
 def plot_training(path: Path, history: History, report: dict[str, Any]) -> None:
@@ -101,7 +94,7 @@ def _loss(axes: Axes, history: History) -> None:
 def _rewards_given(axes: Axes, history: History) -> None:
     names = [name for i, name in enumerate(SOURCES) if i != RULE]
     counts = [int(history.labelled[SOURCES.index(name)]) for name in names]
-    axes.barh(names, counts, color=[_SOURCE_COLOURS[name] for name in names], height=0.6)
+    axes.barh(names, counts, color=[style.SOURCES[name] for name in names], height=0.6)
     total = max(sum(counts), 1)
     for row, count in enumerate(counts):
         text = f"{count:,} ({count / total:.2%})"
@@ -117,7 +110,7 @@ def _rewards_given(axes: Axes, history: History) -> None:
 def _agreement(axes: Axes, history: History) -> None:
     shares = history.agreement()
     for row, (name, share) in enumerate(shares.items()):
-        axes.barh(row, share or 0.0, color=_SOURCE_COLOURS[name], height=0.6)
+        axes.barh(row, share or 0.0, color=style.SOURCES[name], height=0.6)
         text = "none given" if share is None else f"{share:.1%}"
         axes.annotate(text, (1.0, row), (5, 0), textcoords="offset points", va="center", color=style.INK)
     axes.axvline(1.0, color=style.GREY, linewidth=1.0)

@@ -28,8 +28,6 @@ MOST_TRACKS: Final = 200
 _SIZE: Final = (1280, 720)
 _AROUND: Final = 0.2
 """How far around the motions a preset looks [m]: about the length of the tool and of a link beside it."""
-SOURCE_COLOURS: Final = (style.INK, style.GREEN, style.RED, style.PINK, style.SKY)
-"""Of a learned path where a reward came from, as :mod:`koopdqn.intent.reward` numbers it."""
 COLOURS: Final = {
     "demonstration": style.ORANGE,
     "learned": style.BLUE,
@@ -87,7 +85,7 @@ class Shown:
             "goal": None if self.goal is None else rounded(self.goal[pose.POSITION]),
             "cameras": cameras(self.scene, self.motions),
             "field_of_view": float(self.scene.model.vis.global_.fovy),
-            "sources": [{"name": n, "colour": c} for n, c in zip(SOURCES, SOURCE_COLOURS, strict=True)],
+            "sources": [{"name": name, "colour": style.SOURCES[name]} for name in SOURCES],
             "colours": COLOURS,
         }
 

@@ -14,14 +14,16 @@ import numpy as np
 from koopdqn.envs.display import has_display, try_window
 from koopdqn.errors import BadInputError
 from koopdqn.intent.box import Box
+from koopdqn.intent.reward import SOURCES
 from koopdqn.intent.trust import TrustDomain
 from koopdqn.intent.tube import Tube
+from koopdqn.plots import style
 from koopdqn.plots.style import rgba
 from koopdqn.pose import POSITION
 from koopdqn.robot.render import Line, Sphere, draw
 from koopdqn.robot.view import choose_view
 from koopdqn.view.motions import Motion
-from koopdqn.view.page import COLOURS, SOURCE_COLOURS, Shown
+from koopdqn.view.page import COLOURS, Shown
 
 KEYS: Final = "space plays, left and right step, Home and End go to the ends, up and down choose a motion"
 SECONDS: Final = 8.0
@@ -180,7 +182,7 @@ def path_lines(motion: Motion) -> list[Line]:
         return [Line(points, rgba(COLOURS[motion.kind]), radius)]
     begins = [0, *(np.flatnonzero(np.diff(motion.sources[1:])) + 1).tolist(), len(points) - 1]
     return [
-        Line(points[begin : end + 1], rgba(SOURCE_COLOURS[motion.sources[end]]), radius)
+        Line(points[begin : end + 1], rgba(style.SOURCES[SOURCES[motion.sources[end]]]), radius)
         for begin, end in pairwise(begins)
         if end > begin
     ]
