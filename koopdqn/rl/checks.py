@@ -57,7 +57,7 @@ class Checker:
         """Return a policy's success rate, its distance from the intent's roll-outs, and failures by cause.
 
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
-        start, in steps of position or in turns in place, whichever is larger.
+        start, in steps of position or in five rotation tolerances of turn, whichever is larger.
         """
         workcell, task = self._workcell, self._workcell.task
         begun = self._starts, self._joints, self._step_limit

@@ -14,7 +14,7 @@ class CheckReport(ReportModel):
     success_rate: Fraction = Field(description="share of the starts from which the policy succeeds")
     intent_distance: NonNegative = Field(
         description="mean distance of the policy's paths from the nearest pose of the intent's roll-out from the same"
-        " start, in steps of position or turns in place, whichever is larger"
+        " start, in steps of position or five rotation tolerances of turn, whichever is larger"
     )
     failures: dict[str, Count] = Field(description="failed starts by cause; a cause that did not occur is absent")
 
