@@ -188,9 +188,7 @@ def _paced(poses: Array, settings: DemonstrationSettings, swells: Array) -> tupl
     ease = np.clip(np.minimum(share, 1 - share) / 0.1, 0, 1)
     speed = settings.speed_m_s * (0.25 + 0.75 * ease) * (1 + 0.5 * settings.pace_variation * swell)
     seconds = np.concatenate([[0.0], np.cumsum(np.diff(arc) / (0.5 * (speed[1:] + speed[:-1])))])
-    times = np.arange(0.0, seconds[-1], settings.sample_seconds)
-    if seconds[-1] - times[-1] < 1e-9:
-        times = times[:-1]
-    times = np.append(times, seconds[-1])
+    # The end is a sample of its own, unless one is there already.
+    times = np.append(np.arange(0.0, seconds[-1] - 1e-9, settings.sample_seconds), seconds[-1])
     values = at_arc_lengths(poses, seconds, times)
     return times, pose.make(values[:, pose.POSITION], values[:, pose.QUATERNION])

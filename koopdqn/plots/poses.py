@@ -13,18 +13,7 @@ from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration
 from koopdqn.errors import BadInputError
 from koopdqn.paths import arc_lengths
-from koopdqn.plots.style import (
-    DEMONSTRATED,
-    GREY,
-    INK,
-    VIEWS,
-    frame_projection,
-    picture,
-    project,
-    rgba,
-    show_image,
-    two_planes,
-)
+from koopdqn.plots import style
 from koopdqn.pose import Array
 from koopdqn.robot.render import Camera, Ghost, Line, Sphere
 from koopdqn.robot.scene import Scene
@@ -48,22 +37,22 @@ def plot_poses(path: Path, scene: Scene, item: Demonstration, view: View, title:
         WorkFailedError: OpenGL does not work here.
     """
     joints, stops = joints_of(item), stops_of(item)
-    lines = [Line(item.poses[:, pose.POSITION], rgba(DEMONSTRATED), 0.004)]
+    lines = [Line(item.poses[:, pose.POSITION], style.rgba(style.DEMONSTRATED), 0.004)]
     for flange in item.poses[stops]:
         origin, axes = flange[pose.POSITION], pose.to_matrix(flange[pose.QUATERNION]).T
         ends = zip(origin + _AXIS_M * axes, _AXES.values(), strict=True)
-        lines += [Line(np.array([origin, end]), rgba(colour), 0.0025) for end, colour in ends]
-    marks = [Sphere(item.poses[stop, pose.POSITION], rgba(INK), 0.008) for stop in stops]
+        lines += [Line(np.array([origin, end]), style.rgba(colour), 0.0025) for end, colour in ends]
+    marks = [Sphere(item.poses[stop, pose.POSITION], style.rgba(style.INK), 0.008) for stop in stops]
     ghosts = [Ghost(joints[stop], 0.45) for stop in stops[:-1]]
     with closing(Camera(scene, SIZE)) as camera:
         image = camera.picture(joints[-1], view, lines, marks, ghosts)
-    with picture(path, title, WIDTH, HEIGHT) as figure:
-        show_image(figure.subplots(), image, "")
+    with style.picture(path, title, WIDTH, HEIGHT) as figure:
+        style.show_image(figure.subplots(), image, "")
         handles = [
-            Line2D([], [], color=DEMONSTRATED, linewidth=3, label="demonstrated flange path"),
-            Line2D([], [], color=INK, marker="o", linestyle="", label="initial, two intermediate and goal poses"),
+            Line2D([], [], color=style.DEMONSTRATED, linewidth=3, label="demonstrated flange path"),
+            Line2D([], [], color=style.INK, marker="o", linestyle="", label="initial, two intermediate and goal poses"),
             *(Line2D([], [], color=colour, linewidth=2, label=f"flange {axis}") for axis, colour in _AXES.items()),
-            Patch(facecolor=GREY, alpha=0.4, label="arm before the goal"),
+            Patch(facecolor=style.GREY, alpha=0.4, label="arm before the goal"),
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
 
@@ -76,18 +65,18 @@ def plot_paths(path: Path, items: Sequence[Demonstration], task: Task, shown: in
     """
     paths = [item.poses[:, pose.POSITION] for item in items]
     stops = paths[shown][stops_of(items[shown])]
-    with picture(path, "The same path in the base frame", WIDTH, HEIGHT) as figure:
+    with style.picture(path, "The same path in the base frame", WIDTH, HEIGHT) as figure:
         stack = figure.subplots(2, 1, height_ratios=(1.8, 1))
-        for axes, plane in zip(stack, two_planes(paths), strict=True):
+        for axes, plane in zip(stack, style.two_planes(paths), strict=True):
             for index, other in enumerate(paths[:shown] + paths[shown + 1 :]):
                 label = None if index else "other demonstrations"
-                axes.plot(*project(other, plane), color=GREY, linewidth=0.8, label=label)
-            drawn = {"color": DEMONSTRATED, "linewidth": 2.2, "label": f"demonstration {shown}"}
-            axes.plot(*project(paths[shown], plane), **drawn)
-            marks = {"color": INK, "marker": "o", "linestyle": "", "markersize": 5, "label": "poses drawn"}
-            axes.plot(*project(stops, plane), **marks)
-            frame_projection(axes, plane, task, paths)
-            axes.set_title(f"From {VIEWS[plane]}")
+                axes.plot(*style.project(other, plane), color=style.GREY, linewidth=0.8, label=label)
+            drawn = {"color": style.DEMONSTRATED, "linewidth": 2.2, "label": f"demonstration {shown}"}
+            axes.plot(*style.project(paths[shown], plane), **drawn)
+            marks = {"color": style.INK, "marker": "o", "linestyle": "", "markersize": 5, "label": "poses drawn"}
+            axes.plot(*style.project(stops, plane), **marks)
+            style.frame_projection(axes, plane, task, paths)
+            axes.set_title(f"From {style.VIEWS[plane]}")
         figure.legend(*stack[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 

@@ -9,6 +9,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.style import Style
 from rich.text import Text
 
+from koopdqn.paths import SmoothPath
 from koopdqn.pose import Array
 
 _BRAILLE: Final = 0x2800
@@ -67,7 +68,7 @@ class Picture:
             return size[1] - up, right
 
         for number, track in enumerate(self.tracks):
-            row, column = at(_filled(track.points, 0.7 / scale) if track.joined else track.points)
+            row, column = at(SmoothPath.along(track.points, 0.7 / scale).points if track.joined else track.points)
             dots[row, column] = True
             styles[row // _DOTS[0], column // _DOTS[1]] = number
         cells = dots.reshape(rows, _DOTS[0], width, _DOTS[1])
@@ -119,15 +120,6 @@ def bars(values: Array, width: int, rows: int = 1) -> list[str]:
     eighths = 1 + np.rint(share * (8 * rows - 1)).astype(int)
     levels = np.clip(eighths[None] - 8 * np.arange(rows - 1, -1, -1)[:, None], 0, 8)
     return ["".join(_BLOCKS[level] for level in line) for line in levels.tolist()]
-
-
-def _filled(points: Array, spacing: float) -> Array:
-    """Return points (M, 2) along the polyline (N, 2), at most ``spacing`` apart."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    along = np.concatenate([[0.0], np.cumsum(steps)])
-    count = int(np.ceil(along[-1] / spacing)) + 1
-    where = np.linspace(0.0, along[-1], count)
-    return np.stack([np.interp(where, along, column) for column in points.T], axis=1)
 
 
 def _line(letters: list[str], styles: np.ndarray, shown: Sequence[Style]) -> Text:

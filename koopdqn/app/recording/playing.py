@@ -14,7 +14,6 @@ from koopdqn.tasks.workcell import Reachability
 
 _HALVINGS = 3
 """How often the rounding is halved where the arm cannot follow it, before it is left out."""
-_SAME_SECONDS = 1e-9
 
 
 def seconds_along(path: Array, settings: DemoSettings) -> Array:
@@ -99,11 +98,8 @@ def _played(path: Array, settings: DemoSettings, rounding: float) -> tuple[Array
     """Return times (M,) [s] and poses (M, 7) of a path (N, 7), its corners rounded off over ``rounding`` [m]."""
     around = int(np.ceil(rounding / 2 / settings.speed_m_s / settings.sample_seconds))
     seconds = seconds_along(path, settings)
-    times = np.arange(0.0, seconds[-1], settings.sample_seconds)
     # The end is a sample of its own, unless one is there already.
-    if len(times) > 1 and seconds[-1] - times[-1] < _SAME_SECONDS:
-        times = times[:-1]
-    times = np.append(times, seconds[-1])
+    times = np.append(np.arange(0.0, seconds[-1] - 1e-9, settings.sample_seconds), seconds[-1])
     return _waiting(times, around, settings.sample_seconds), round_corners(_at(path, seconds, times), around)
 
 
