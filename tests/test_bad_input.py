@@ -114,6 +114,11 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 2
         ("out=/dev/null", "out: must name a folder that can be written, found '/dev/null'"),
         ("demos=some.hdf5", "demos: must be left out, as koopdqn demo does not take it, found 'some.hdf5'; taken by: "),
         ("task=demonstrated", "found one that is made from demonstrations; valid: both_sides, knife, shelf"),
+        ("person=via person.via_points=0", "person.via_points: must be greater than or equal to 1, found 0"),
+        (
+            "robot.task_scale=1.4 task.variation_m=0.04",
+            "robot.task_scale: must leave every length of task shelf within its bounds, found 1.4 (variation_m: ",
+        ),
     ],
 )
 def test_a_bad_setting_is_named_with_its_rule(capsys: pytest.CaptureFixture[str], override: str, expected: str) -> None:

@@ -1,6 +1,7 @@
 """Showing a better way by keys: what keys make of a learned path, and what stands on the screen."""
 
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -131,6 +132,9 @@ def test_a_path_does_not_go_on_from_a_waypoint_that_is_not_added(episode: Episod
 def test_it_is_told_whether_the_arm_can_be_at_the_waypoint(episode: Episode, folder: Path) -> None:
     free = begin(episode, folder, MIDDLE)
     assert "can be there, payload" in free.standing()
+    with patch.object(type(shelf().scene), "payload_clearance", lambda self, joints, at_most: at_most):
+        # Nothing is carried, or nothing is near.
+        assert free.standing() == "can be there"
     # Into the side wall of the shelf.
     assert "shelf" in begin(episode, folder, MIDDLE + "++" + "w" * 8).standing()
     assert "out of reach" in begin(episode, folder, MIDDLE + "++" + "r" * 60).standing()

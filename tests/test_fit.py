@@ -1,11 +1,14 @@
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers_shown import arc, derivation, recorded, shown
 from parts import Parts, as_demonstrations, load_parts, straight_poses
+from small_run import SMALL
 
 from koopdqn import pose
+from koopdqn.app import cli
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.errors import BadInputError
 from koopdqn.intent.fit import Fitted, agent_steps, fit, sixty_samples, unmatched_share
@@ -258,3 +261,12 @@ def test_what_comes_back_over_the_same_place_is_told_by_the_length_of_the_way(pa
     assert ratio(*again) == pytest.approx(1.0, abs=0.05)
     # What does not unfold a path leaves the first passages out.
     assert ratio(*again, intent=load_parts("intent=fourier").intent) < 0.6
+
+
+def test_fresh_demonstrations_are_none_of_those_fitted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["demo", *SMALL, "seed=3", f"out={tmp_path}/shown"]) == 0
+    given = ["fit", *SMALL, f"demos={tmp_path}/shown/demos.hdf5", "fit.fresh=1"]
+    assert cli.main([*given, "fit.seed=3", f"out={tmp_path}/same"]) == 2
+    assert "fit.seed must not be the seed of the demonstrations that are fitted, found 3" in capsys.readouterr().err
+    # The seed of the command makes none of the demonstrations of a file.
+    assert cli.main([*given, "fit.seed=0", f"out={tmp_path}/other"]) == 0

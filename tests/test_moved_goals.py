@@ -175,6 +175,9 @@ def test_a_goal_out_of_its_region_or_of_a_task_without_one_is_refused() -> None:
     task = _derived().task
     with pytest.raises(BadInputError, match=r"goal: must be at most \[0.08, 0.1, 0.06\] m"):
         task.goal_displacement(tuple((task.goal[:3] + np.array([0.09, 0.0, 0.0])).tolist()))
+    # A goal is told rounded, and may be given as it was told.
+    edge = np.round(task.goal[:3] + HALF, 4)
+    np.testing.assert_allclose(task.goal_displacement(tuple(edge.tolist())), HALF, atol=1e-4)
     with pytest.raises(BadInputError, match=r"with goal_half_range_m, .* a task of your own whose goal_moves is True"):
         PARTS.task.goal_displacement((0.5, 0.1, 0.5))
 

@@ -161,6 +161,11 @@ def test_an_stl_file_in_text_is_read_as_any_other(tmp_path: Path) -> None:
     (tmp_path / "flat.stl").write_text("solid flat\n" + facet.format("vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0"))
     with pytest.raises(ValueError, match="do not lie in one plane"):
         hull_of_file(tmp_path / "flat.stl")
+    for number, wrong in enumerate(("vertex 0 0", "vertex abc 0 1")):
+        path = tmp_path / f"wrong{number}.stl"
+        path.write_text("solid wrong\n" + facet.format(f"vertex 0 0 0\n{wrong}\nvertex 0 1 0"))
+        with pytest.raises(ValueError, match=r"three numbers after every vertex, found others in .*wrong\d.stl"):
+            hull_of_file(path)
 
 
 def test_a_binary_stl_file_may_begin_as_one_in_text(tmp_path: Path) -> None:

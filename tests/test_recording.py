@@ -462,3 +462,11 @@ def test_a_whole_task_shown_by_keys_is_learned(tmp_path: Path, task: str) -> Non
     assert success == 1.0
     # Table 1 turns only in place or toward the goal; the knife is turned on its way.
     assert task == "knife" or unmatched == 0.0
+
+
+def test_starts_are_of_the_side_that_is_demonstrated() -> None:
+    parts = load_parts("task=both_sides")
+    recorder = Recorder(open_workcell(parts.task, parts.arm), parts.demo, 0)
+    side = np.sign(parts.task.nominal_start[1])
+    for start in range(8):
+        assert np.sign(recorder._begun(start, ()).path[0][1]) == side

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,16 @@ def test_make_trains_and_evaluates_what_is_missing(
     assert calls[0][3] == str(Path("runs/shelf/old"))
     complete = [(0, True), (1, True)]
     assert shown == {("shelf", DEFAULT): complete, ("knife", DEFAULT): complete}
+    # A run of another configuration is none of the present one's.
+    other = replace(parts, agent=parts.agent.model_copy(update={"gamma": 0.8}))
+    write_run(tmp_path / "other" / "shelf", other, demonstrations, seed=0)
+    write_run(tmp_path / "other" / "knife", replace(knife, agent=other.agent), demonstrations, seed=0)
+    calls.clear()
+    chosen = ["report.runs=[other]", "report.seeds=[0]", "out=beside"]
+    assert cli.main(["report", "--make", *chosen]) == 0
+    assert [call[:3] for call in calls] == [
+        ("train", t, "0") if c == "train" else ("eval", "", "") for t in ("shelf", "knife") for c in ("train", "eval")
+    ]
     # What is there is not made again.
     calls.clear()
     assert cli.main(["report", "--make", "report.seeds=[0,1]", "out=again"]) == 0

@@ -10,6 +10,7 @@ from koopdqn.pose import Array
 from koopdqn.tasks.actions import ACTIONS, reached_poses, twists_between
 from koopdqn.tasks.rollout import (
     FAILURES,
+    OFF_GOAL,
     RULE_BROKEN,
     STEP_LIMIT,
     STUCK,
@@ -124,6 +125,18 @@ def test_an_action_that_changes_nothing_is_stuck() -> None:
         assert (episode.outcome, episode.steps) == (STUCK, 1)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_an_action_that_changes_nothing_is_stuck_in_any_orientation(seed: int) -> None:
+    # A quaternion is away from itself by a rounding error.
+    cell = shelf()
+    quaternion = pose.normalized(np.random.default_rng(seed).normal(size=4))
+    task = cell.task.model_copy(update={"start_quaternion": quaternion, "goal_quaternion": quaternion})
+    still = lambda reached, before, joints, starts, steps: [Motion(row) for row in joints]  # noqa: E731
+    starts = pose.make(task.nominal_start[None, :3], task.goal[pose.QUATERNION])
+    episode = roll_out(always(TURN_TO_GOAL), task, cell.reachability, starts, np.zeros((1, 6)), 9, moves=still)[0]
+    assert (episode.outcome, episode.steps) == (STUCK, 1)
+
+
 def test_a_collision_ends_the_episode_before_it_happens_and_says_what_touched() -> None:
     for episode in rolled(always(TO_GOAL)):
         assert episode.outcome == COLLISION
@@ -198,10 +211,10 @@ def test_following_a_path_that_ends_short_of_the_goal_is_no_success() -> None:
     starts, joints = held_out(1)
     end = starts[0] - [0.01, 0, 0, 0, 0, 0, 0]
     episode = follow([straight_path(starts[0], end, cell.task)], cell.task, cell.reachability, joints)[0]
-    assert episode.outcome == STEP_LIMIT
+    assert episode.outcome == OFF_GOAL
     assert np.allclose(episode.poses[-1], end)
 
 
 def test_every_outcome_but_success_is_a_failure() -> None:
-    assert {STEP_LIMIT, STUCK, RULE_BROKEN, COLLISION, UNREACHABLE, JUMP} == set(FAILURES)
+    assert {STEP_LIMIT, STUCK, OFF_GOAL, RULE_BROKEN, COLLISION, UNREACHABLE, JUMP} == set(FAILURES)
     assert SUCCESS not in FAILURES

@@ -268,3 +268,8 @@ def test_a_ball_is_trusted_as_far_as_its_radius_and_nothing_else_changes(far: fl
         assert (wider.distance(at(0.05, 0.2 + far))[0] <= 1.0) == (far < radius)
     assert not wider.contains(at(0.05, 0.2, turn=(0.5, 0.0, 0.0)), step)[0]
     assert not drawn.contains(middle, step)[0]
+
+
+@pytest.mark.parametrize(("matching", "step"), [("step", 7), ("any", None)])
+def test_a_domain_by_steps_knows_the_step_whose_box_is_nearest(matching: Matching, step: int | None) -> None:
+    assert domain(matching).nearest_step(pose.make([0.071, 0.001, 0.0], FRAME[0])) == step

@@ -12,7 +12,10 @@ import pytest
 from small_run import SMALL
 
 from koopdqn.app import cli
+from koopdqn.app.api import load_config
 from koopdqn.app.commands import view
+from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.csv import write_csv
 from koopdqn.demonstrations.hdf5 import read_hdf5
@@ -91,6 +94,24 @@ def test_recordings_out_of_reach_are_shown_without_the_arm(run: Path, tmp_path: 
     motions = baked(tmp_path / "page" / "view.html")["motions"]
     assert [motion["links"] for motion in motions] == [[]] * len(far)
     assert all("follows 0 of" in motion["remark"] for motion in motions)
+
+
+def test_the_task_of_a_file_is_as_large_as_the_arm_asks_for() -> None:
+    given = ["task=demonstrated", "robot=ur10", "robot.task_scale=1.3", "out=unused"]
+    config = Configuration.load(composed(given))
+    task, unscaled = view._task_of(config, "shelf"), load_config("task=shelf").task
+    assert task is not None
+    np.testing.assert_allclose(task.goal[:3], 1.3 * unscaled.goal[:3])
+
+
+def test_all_demonstrations_are_shown_as_recorded_where_they_are_moved(run: Path, tmp_path: Path) -> None:
+    offset = np.array([0.3, 0, 0, 0, 0, 0, 0])
+    far = [replace(item, poses=item.poses + offset, joints=None) for item in read_hdf5(run / "demos.hdf5").items]
+    write_csv(tmp_path / "far.csv", far)
+    given = ["view", "task=demonstrated", f"demos={tmp_path}/far.csv", "demos.place=auto", f"out={tmp_path}/page"]
+    assert cli.main(given) == 0
+    tracks = baked(tmp_path / "page" / "view.html")["tracks"]
+    assert len(tracks) == len(far)
 
 
 @pytest.mark.parametrize(

@@ -208,6 +208,10 @@ class BentTrust(TrustDomain):
         """Return the base's arrays; the bend is never stored."""
         return self.base.arrays()
 
+    def nearest_step(self, point: Array) -> int | None:
+        """Return the base's nearest step of the straightened pose (7,)."""
+        return self.base.nearest_step(self.bend.straightened(point[None])[0])
+
     def shape_contains(self, poses: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whether the base contains the straightened poses (N, 7), and the doubt (N,) there."""
         return self.base.shape_contains(self.bend.straightened(poses), steps)

@@ -95,6 +95,12 @@ class Box(TrustDomain):
             contained &= np.abs(rows[:, i : i + 1] - self.mean[:, i]) <= width[:, i]
         return np.asarray(contained.any(axis=1)), np.where(contained, self.doubt, np.inf).min(axis=1)
 
+    def nearest_step(self, point: Array) -> int | None:
+        """Return the step of the nearest box of a pose (7,); None where the step does not matter."""
+        if self.settings.matching != "step":
+            return None
+        return int(self._sigmas(components_of(point[None], self.frame))[0].max(axis=1).argmin())
+
     def depth(self, poses: Array) -> Array:
         """Return the distances (N,) of poses (N, 7) from the nearest box's center, in half widths."""
         if not self.shaped:

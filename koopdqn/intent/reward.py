@@ -14,7 +14,7 @@ from koopdqn.intent.trust import Trust, TrustDomain
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
 from koopdqn.tasks.actions import SUGGESTED, excess, legal_actions, moved_by, reached_poses, toward
-from koopdqn.tasks.task import Task
+from koopdqn.tasks.task import NO_MOTION, Task
 
 # Where a reward came from.
 RULE: Final = 0
@@ -29,8 +29,6 @@ BY_MODEL: Final = (TRUSTED, CERTIFIED)
 NO_ANSWER: Final = -1
 """The number of the answer of a reward without one."""
 
-# A motion below this [m or rad] counts as none: far under any tolerance and above rounding.
-_NO_MOTION = 1e-9
 _MARGIN_DIGITS = 6
 
 Prediction = Literal["raw", "rescaled"]
@@ -177,9 +175,9 @@ class IntentReward:
             margin[:, SUGGESTED] = margin[:, SUGGESTED].round(_MARGIN_DIGITS)
         reward = np.clip(margin, -1.0, 1.0) if self.settings.shape == "margin" else np.where(margin >= 0, 1.0, -1.0)
         demonstrated, certified, doubt = self._trust(here, local_reached, steps)
-        unchanged = pose.position_distance(reached, poses[:, None]) < _NO_MOTION
+        unchanged = pose.position_distance(reached, poses[:, None]) < NO_MOTION
         rows, actions = np.nonzero(unchanged)
-        unchanged[rows, actions] = pose.rotation_distance(reached[rows, actions], poses[rows]) < _NO_MOTION
+        unchanged[rows, actions] = pose.rotation_distance(reached[rows, actions], poses[rows]) < NO_MOTION
         wrong = unchanged
         wrong[:, : self._illegal.size] |= self._illegal
         certain = certain_signs(np.where(wrong, -np.inf, margin), doubt)

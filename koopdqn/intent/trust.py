@@ -127,6 +127,10 @@ class TrustDomain(ABC):
         """Whether it lies somewhere; one that trusts everything or nothing does not."""
         return True
 
+    def nearest_step(self, point: Array) -> int | None:
+        """Return the step at whose place a pose (7,) is nearest; None of a domain that is the same at every step."""
+        return None
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what the domain consists of but its settings and balls, as arrays."""
         return {each.name: getattr(self, each.name) for each in fields(self) if each.name not in ("settings", "balls")}

@@ -170,7 +170,12 @@ def hull_of_file(path: Path) -> list[list[float]]:
     binary = len(content) >= 84 and len(content) == 84 + 50 * int.from_bytes(content[80:84], "little")
     if not binary and content.lstrip().startswith(b"solid") and b"facet" in content:
         # STL in text, which MuJoCo does not read.
-        return _corners(np.array([each.split() for each in re.findall(rb"\bvertex\s+(.*)", content)], dtype=float))
+        corners = [each.split() for each in re.findall(rb"\bvertex\s+(.*)", content)]
+        try:
+            points = np.array(corners, dtype=float).reshape(len(corners), 3)
+        except ValueError as error:
+            raise ValueError(f"file must hold three numbers after every vertex, found others in {path}") from error
+        return _corners(points)
     spec = mujoco.MjSpec()
     spec.add_mesh(name="mesh", file=str(path.resolve()))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")

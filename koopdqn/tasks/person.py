@@ -218,7 +218,7 @@ class Via(Person):
     decays along the minimum-jerk polynomial and is zero at the next via point.
     """
 
-    via_points: int = Field(ge=0, le=50, description="number of via points between start and goal")
+    via_points: int = Field(ge=1, le=50, description="number of via points between start and goal")
 
     def expert(self, reference: ReferencePath, goal: Array, step: float, turn: float) -> Expert:
         """Return the expert that passes the via points."""

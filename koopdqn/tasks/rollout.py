@@ -9,14 +9,16 @@ import numpy as np
 from koopdqn import pose
 from koopdqn.pose import Array
 from koopdqn.tasks.actions import reached_by
-from koopdqn.tasks.task import Task, breaks_rule
+from koopdqn.tasks.task import NO_MOTION, Task, breaks_rule
 from koopdqn.tasks.workcell import REASONS, Motion, Reachability
 
 SUCCESS: Final = "success"
 STEP_LIMIT: Final = "step_limit"
 STUCK: Final = "stuck"
+OFF_GOAL: Final = "off_goal"
+"""A given path ended away from the goal."""
 RULE_BROKEN: Final = "rule_broken"
-FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT)
+FAILURES: Final = (*REASONS, RULE_BROKEN, STUCK, STEP_LIMIT, OFF_GOAL)
 """Causes of failure."""
 
 # Poses that differ by less [m, or in a quaternion's entries] are the same.
@@ -133,6 +135,8 @@ def follow(
         if active:
             reached, begun = (np.array([rows[i][at] for i in active]) for rows, at in ((paths, t), (starts, t - 1)))
             _advance([runs[i] for i in active], reached, task, reachability, None, begun)
+    for run in runs:
+        run.outcome = run.outcome or OFF_GOAL
     return [run.finished() for run in runs]
 
 
@@ -180,9 +184,9 @@ def _advance(
     else:
         steps = np.array([len(run.poses) - 1 for run in runs])
         motions = moves(reached + away, before + away, joints, starts + away, steps)
-    stuck = pose.position_distance(reached, before) == 0
+    stuck = pose.position_distance(reached, before) < NO_MOTION
     if stuck.any():
-        stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) == 0
+        stuck[stuck] = pose.rotation_distance(reached[stuck], before[stuck]) < NO_MOTION
     there = task.arrived(reached, starts)
     ends = np.select([breaks_rule(task, reached), there, stuck], [RULE_BROKEN, SUCCESS, STUCK], "")
     for run, target, motion, end in zip(runs, reached, motions, ends.tolist(), strict=True):

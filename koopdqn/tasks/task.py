@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal, Self
 
 import numpy as np
 from pydantic import Field, Strict, model_validator
@@ -28,6 +28,10 @@ Waypoints = Annotated[tuple[Metres3, ...], Strict(False), Field(min_length=2)]
 # be at most 1/0.92 tolerances for some action to be right always.
 MAX_STEP_PER_TOLERANCE = 1.087
 _LEAST_CHORD_M = 1e-3
+NO_MOTION: Final = 1e-9
+"""A motion below this [m or rad] counts as none: far under any tolerance and above rounding."""
+# A goal is told, and asked for, to a tenth of a millimetre.
+_GOAL_ROUNDING_M = 1e-4
 # The paper's lift has no constant observable; a constant yaw [rad] serves as one.
 _CONSTANT_YAW = 1.0
 
@@ -92,7 +96,7 @@ class Task(TaskChoice):
             length = float(np.linalg.norm(getattr(self, name)))
             if abs(length - 1.0) > 1e-3:
                 raise ValueError(f"{name} must have length 1 within 0.001, found {length:g}")
-        if self.start_tilt_rad > 0 and pose.rotation_distance(self.nominal_start, self.goal) < 1e-9:
+        if self.start_tilt_rad > 0 and pose.rotation_distance(self.nominal_start, self.goal) < NO_MOTION:
             raise ValueError(
                 f"start_tilt_rad must be 0 where start and goal are turned alike, found {self.start_tilt_rad:g}"
             )
@@ -203,7 +207,7 @@ class Task(TaskChoice):
         goal, start = self.goal[pose.QUATERNION], self.nominal_start[pose.QUATERNION]
         turn = pose.to_rotation_vector(pose.multiply(pose.conjugate(goal), start))
         angle = float(np.linalg.norm(turn))
-        if angle == 0.0:
+        if angle < NO_MOTION:
             return np.array([goal, pose.IDENTITY[pose.QUATERNION]])
         axis = turn / angle
         # The right side takes the x axis to the axis of the turn.
@@ -289,7 +293,7 @@ class Task(TaskChoice):
                 f"goal: needs a run of a task with goal_half_range_m, found task {self.name} without"
                 " (task=demonstrated may have one, and a task of your own whose goal_moves is True)"
             )
-        if (np.abs(moved) > np.array(self.goal_half_range_m) + 1e-9).any():
+        if (np.abs(moved) > np.array(self.goal_half_range_m) + _GOAL_ROUNDING_M).any():
             raise BadInputError(
                 f"goal: must be at most {list(self.goal_half_range_m)} m along each axis from"
                 f" {np.round(self.goal[pose.POSITION], 4).tolist()} m, found {list(goal)}"

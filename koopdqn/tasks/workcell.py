@@ -148,8 +148,12 @@ class Reachability:
         """Return the flange's poses (N, 7) at joint angles (N, 6) [rad], by MuJoCo."""
         return np.array([self.scene.flange_pose(row) for row in joints])
 
-    def draw_starts(self, task: Task, rng: np.random.Generator, count: int) -> tuple[Array, Array, int]:
+    def draw_starts(
+        self, task: Task, rng: np.random.Generator, count: int, *, demonstrated: bool = False
+    ) -> tuple[Array, Array, int]:
         """Return reachable starts (count, 7) of a task, their joints (count, 6) [rad], and the number of refused draws.
+
+        With ``demonstrated`` they are of where demonstrations begin.
 
         Raises:
             BadInputError: hardly any start of the region is reachable.
@@ -158,7 +162,7 @@ class Reachability:
         joints: list[Array] = []
         refused, detail = 0, ""
         while len(poses) < count:
-            start = task.draw_starts(rng, 1)[0]
+            start = (task.draw_demonstrated_starts if demonstrated else task.draw_starts)(rng, 1)[0]
             motion = self.enter(start)
             if motion.joints is None:
                 refused, detail = refused + 1, f"{motion.reason}: {motion.detail}"

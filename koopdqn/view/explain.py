@@ -126,6 +126,8 @@ def trust_of(feedback: Feedback, evaluation: ActionEvaluation, row: int) -> tupl
     why = trust.outside(evaluation.local[row], step)
     if why:
         return False, why
+    if trust.nearest_step(evaluation.local[row]) is not None:
+        return True, f"within the box of step {step}"
     return True, f"{float(trust.distance(evaluation.local[row][None])[0]):.0%} of the way from its middle to its edge"
 
 
@@ -196,8 +198,10 @@ def _why(evaluation: ActionEvaluation, row: int, action: int, feedback: Feedback
         return "too near the tolerance to be sure"
     gaps = [float(pose.position_distance(rows, there).min()) for rows in trajectories]
     nearest = int(np.argmin(gaps))
-    share = float(trust.depth(there[None])[0])
-    return f"demonstration {nearest} is {1e3 * gaps[nearest]:.1f} mm away, {share:.0%} of the way out"
+    away = f"demonstration {nearest} is {1e3 * gaps[nearest]:.1f} mm away"
+    if trust.nearest_step(there) is not None:
+        return away
+    return f"{away}, {float(trust.depth(there[None])[0]):.0%} of the way out"
 
 
 def _answered(feedback: Feedback, place: int, point: Array) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, ValidationError
 
 from koopdqn.app.recording import DemoSettings
 from koopdqn.artifact import described
@@ -31,7 +31,7 @@ from koopdqn.rl.answers import FeedbackSettings
 from koopdqn.rl.settings import Agent, TrainSettings
 from koopdqn.robot.arm import Arm
 from koopdqn.safety.guard import GuardSettings
-from koopdqn.settings import Name, NonNegativeInt, PathText, Settings, load_settings, plain, validate
+from koopdqn.settings import Name, NonNegativeInt, PathText, Settings, flaw, load_settings, plain, validate
 from koopdqn.tasks.person import Person
 from koopdqn.tasks.task import Task, TaskChoice
 from koopdqn.view.schema import CompareSettings, ExplainSettings, ViewSettings
@@ -87,6 +87,21 @@ class Inputs(Settings):
     demos: Sources | None
     intent_file: PathText | None
     trust_modules: Modules
+
+
+def scaled(task: Task, arm: Arm) -> Task:
+    """Return a task in the size that an arm asks for.
+
+    Raises:
+        BadInputError: a value of the task is then out of its bounds.
+    """
+    try:
+        return task.scaled(arm.task_scale)
+    except ValidationError as error:
+        raise BadInputError(
+            f"robot.task_scale: must leave every length of task {task.name} within its bounds,"
+            f" found {arm.task_scale:g} ({flaw(error)})"
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -168,7 +183,7 @@ class Configuration:
             node = content.get(key)
             parts[names[key]] = load_settings(node, kind, key) if key in _GROUPS else validate(node, kind, key)
         if isinstance(parts["chosen"], Task):
-            parts["chosen"] = parts["chosen"].scaled(parts["robot"].task_scale)
+            parts["chosen"] = scaled(parts["chosen"], parts["robot"])
         made = cls(**parts)
         continuous = made.inputs.actions == "continuous"
         if made.agent.continuous != continuous:

@@ -155,8 +155,11 @@ def _given(config: Configuration, trained: TrainedRun, policy: Policy, feedback:
     legs = trained.workcell.task.legs(start[0])
     local = feedback.reward.model.start_frame.to_frame(np.repeat(given, len(legs), axis=0), legs)
     # Without what answers have certified, which may reach from one leg to the next.
-    start = legs[trained.reward.trust.distance(local).argmin()][None]
-    evaluation = feedback.evaluate_actions(given, np.array([0]), start)
+    leg = int(trained.reward.trust.distance(local).argmin())
+    start = legs[leg][None]
+    # A domain that differs from step to step knows it as of the step whose place is nearest.
+    step = trained.reward.trust.nearest_step(local[leg]) or 0
+    evaluation = feedback.evaluate_actions(given, np.array([step]), start)
     place = dict.fromkeys(("outcome", "detail", "steps", "step", "left_at", "off_path_mm"))
     told = {**place, "start": number, "why_step": "the pose was given"}
     return _State(evaluation, 0, policy.values(given, start)[0], taken.joints, told)

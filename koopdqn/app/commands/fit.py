@@ -23,7 +23,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     """Fit to given or new demonstrations; write ``intent.npz``, ``fit.json`` and ``fit.png``."""
     workcell = pipeline.open_scene(config)
     demonstrations = pipeline.demonstrations_for(config, workcell, folder)
-    _, fitted = pipeline.fitted_intent(config, demonstrations, folder, _fresh(config, workcell))
+    _, fitted = pipeline.fitted_intent(config, demonstrations, folder, _fresh(config, workcell, demonstrations))
     report = fitted.report
     title = f"Intent {config.intent.name} on task {config.task.name}"
     title += ", one demonstration left out at a time" if report["demonstrations"] > 1 else ""
@@ -43,7 +43,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     return CommandResult(report, lines, objective=None if roll_out is None else roll_out["median_hausdorff"])
 
 
-def _fresh(config: Configuration, workcell: Workcell) -> Demonstrations | None:
+def _fresh(config: Configuration, workcell: Workcell, fitted: Demonstrations) -> Demonstrations | None:
     """Return new demonstrations of the scripted demonstrator to measure coverage on, if any are asked for."""
     if not config.fit.fresh:
         return None
@@ -52,12 +52,14 @@ def _fresh(config: Configuration, workcell: Workcell) -> Demonstrations | None:
             f"fit.fresh must be 0 for a task made from demonstrations, which nobody can make more of,"
             f" found {config.fit.fresh}"
         )
-    if config.fit.seed == config.inputs.seed:
-        raise BadInputError(
-            f"fit.seed must differ from seed, or fresh demonstrations would be the old ones, found {config.fit.seed}"
-        )
     settings = config.demo.model_copy(update={"count": config.fit.fresh})
-    return pipeline.generated("Demonstrating afresh", workcell, settings, config.fit.seed).demonstrations
+    fresh = pipeline.generated("Demonstrating afresh", workcell, settings, config.fit.seed).demonstrations
+    if any(np.array_equal(one.poses, other.poses) for one in fresh.items for other in fitted.items):
+        raise BadInputError(
+            f"fit.seed must not be the seed of the demonstrations that are fitted, found {config.fit.seed}, which makes"
+            " the same ones"
+        )
+    return fresh
 
 
 def _rows(report: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -50,7 +50,7 @@ def run(config: Configuration, folder: Path) -> CommandResult:
     presets = all_presets()
     made: list[Path] = []
     if settings.make:
-        made = _make_missing(settings, _found(settings, presets, made)[0])
+        made = _make_missing(settings, _found(settings, presets, made)[0], presets)
     groups, left_out = _found(settings, presets, made)
     if not groups:
         where = ", ".join(f"{path}/" for path in settings.runs) or f"{RUNS}/"
@@ -169,9 +169,9 @@ def _ablations(settings: ReportSettings) -> Path:
     return next((file for file in files if file.is_file()), files[-1])
 
 
-def _make_missing(settings: ReportSettings, groups: Groups) -> list[Path]:
+def _make_missing(settings: ReportSettings, groups: Groups, presets: Presets) -> list[Path]:
     """Train what is missing of the default preset and evaluate it; return the folders that were made."""
-    jobs = _jobs(settings, groups)
+    jobs = _jobs(settings, groups, presets)
     folders = []
     with console.stage("Making missing runs", len(jobs)) as stage:
         for task, seed, trained in jobs:
@@ -186,11 +186,13 @@ def _make_missing(settings: ReportSettings, groups: Groups) -> list[Path]:
     return folders
 
 
-def _jobs(settings: ReportSettings, groups: Groups) -> list[tuple[str, int, Path | None]]:
+def _jobs(settings: ReportSettings, groups: Groups, presets: Presets) -> list[tuple[str, int, Path | None]]:
     """Return task, seed and folder (None: to be trained) of every run that is missing or not evaluated."""
     jobs: list[tuple[str, int, Path | None]] = []
     for task in TASKS:
-        runs = groups.get((task, DEFAULT), ())
+        # Runs of another configuration are shown only where none of the present one is there.
+        present = presets[task, DEFAULT].key
+        runs = [run for run in groups.get((task, DEFAULT), ()) if configuration_key(run.about) == present]
         jobs += [(task, run.seed, run.folder) for run in runs if run.evaluation is None]
         jobs += [(task, seed, None) for seed in settings.seeds if seed not in {run.seed for run in runs}]
     return jobs

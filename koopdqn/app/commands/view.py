@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from koopdqn import console
 from koopdqn.app.commands import pipeline
-from koopdqn.app.commands.configuration import Configuration
+from koopdqn.app.commands.configuration import Configuration, scaled
 from koopdqn.app.commands.demonstrated import with_task
 from koopdqn.app.commands.demonstrations import sources_of
 from koopdqn.app.commands.trained import feedback_of, read_trained
@@ -93,7 +93,8 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     task = _task_of(config, read[0].task)
     if isinstance(config.chosen, Derivation) and config.chosen.place == "auto":
         moved = with_task(config, folder, keep=False)
-        demonstrations, task = pipeline.demonstrations_of(moved, folder), moved.task
+        placement, task = pipeline.demonstrations_of(moved, folder).placement, moved.task
+        demonstrations = demonstrations if placement is None else placement.moved(demonstrations)
     scene = SceneBuilder(config.robot).build() if task is None else build_scene(task, config.robot)
     posture = None
     if task is not None:
@@ -125,4 +126,5 @@ def _task_of(config: Configuration, name: str | None) -> Task | None:
         return config.chosen
     if name in (None, config.chosen.name) or not (conf_dir() / "task" / f"{name}.yaml").is_file():
         return None
-    return Configuration.load(composed([f"task={name}", "out=unused"])).task
+    unscaled = Configuration.load(composed([f"task={name}", "out=unused"])).task
+    return scaled(unscaled, config.robot)

@@ -248,5 +248,5 @@ class Recorder:
     def _begun(self, start: int, kept: tuple[Demonstration, ...]) -> State:
         # Each start has a stream of its own, whatever was drawn before.
         rng = np.random.default_rng([self._seed, 1, start])
-        poses, joints, _ = self._workcell.reachability.draw_starts(self.task, rng, 1)
+        poses, joints, _ = self._workcell.reachability.draw_starts(self.task, rng, 1, demonstrated=True)
         return State(start, (poses[0],), (joints[0],), kept)

@@ -23,6 +23,8 @@ BACK: Final = "←"
 ON: Final = "→"
 ADD: Final = "\n"
 _SPEED_M_S: Final = 0.1
+# A payload that is farther from everything is told of no more.
+_FAR_M: Final = 0.2
 _STEP_M: Final = 0.005
 _SCALES: Final = (-3, 2)
 """Least and largest power of two by which the step is scaled."""
@@ -126,8 +128,10 @@ class Showing:
             return f"{REFUSED}: out of reach"
         scene = self._workcell.scene
         contact = scene.contact(solutions[0])
-        clearance = 1e3 * scene.payload_clearance(solutions[0])
-        return f"{REFUSED}: {contact}" if contact else f"can be there, payload {clearance:.0f} mm clear"
+        if contact:
+            return f"{REFUSED}: {contact}"
+        clearance = scene.payload_clearance(solutions[0], _FAR_M)
+        return "can be there" if clearance >= _FAR_M else f"can be there, payload {1e3 * clearance:.0f} mm clear"
 
     def play(self, seconds: float) -> None:
         """Let time pass while the path is played; at its end it stops."""
