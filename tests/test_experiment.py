@@ -25,7 +25,7 @@ from koopdqn.rl.schema import TrainReport
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 ABLATIONS = load("ablations")
-UNDOING = [name for name in ABLATIONS.variants if name != "default"]
+UNDOING = [name for name in ABLATIONS.variants if name not in ("default", "chance", "chance-again")]
 ALGORITHM = (ROOT / "docs" / "algorithm.md").read_text(encoding="utf-8")
 DEVIATIONS = ALGORITHM.partition("## Deviations\n")[2].partition("\n### ")[0]
 

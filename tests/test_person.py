@@ -100,7 +100,7 @@ def test_between_via_points_no_motion_has_less_jerk(shelf_task: ShelfTask) -> No
             assert squared(jerk + scaled) > squared(jerk)
 
 
-@pytest.mark.parametrize("count", [0, 1, 5])
+@pytest.mark.parametrize("count", [1, 2, 5])
 def test_it_passes_its_via_points(shelf_task: ShelfTask, count: int) -> None:
     shown = shelf_task.reference_path
     path = Via(name="via", via_points=count).expert(shown, shelf_task.goal, STEP, 0.0).path.places
