@@ -42,7 +42,7 @@ class SmoothPath:
 
     @classmethod
     def along(cls, polyline: ArrayLike, spacing: float = 5e-4) -> "SmoothPath":
-        """Return the polyline (P, 3) [m] sampled anew, evenly in arc length, about every ``spacing`` [m]."""
+        """Return the polyline (P, 2 or 3) [m] sampled anew, evenly in arc length, about every ``spacing`` [m]."""
         polyline = np.asarray(polyline, dtype=float)
         arc = arc_lengths(polyline)
         count = max(2, int(np.ceil(arc[-1] / spacing)) + 1)

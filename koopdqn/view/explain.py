@@ -127,7 +127,7 @@ def trust_of(feedback: Feedback, evaluation: ActionEvaluation, row: int) -> tupl
     if why:
         return False, why
     if trust.nearest_step(evaluation.local[row]) is not None:
-        return True, f"within the box of step {step}"
+        return True, "within the domain at this step"
     return True, f"{float(trust.distance(evaluation.local[row][None])[0]):.0%} of the way from its middle to its edge"
 
 
