@@ -1,12 +1,13 @@
 """What every test shares: off-screen rendering, the marker of slow tests, reproducible examples, the shelf."""
 
+import gc
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 from absl import logging as absl_logging
@@ -33,6 +34,9 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # PyTorch's CUDA builds bring Triton, which crashes where Mesa's renderer has loaded another LLVM before it.
 with suppress(ImportError):
     import_module("triton")
+
+# Modules that stay would be searched for circles again and again, which takes a tenth of the tests' time.
+gc.set_threshold(50_000)
 
 # Hydra closes every log handler when it sets up its own; absl's (of dm_control) would close pytest's captured stream.
 absl_logging.get_absl_handler().python_handler.setStream(sys.__stderr__)
@@ -110,22 +114,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason=NO_OPENGL))
     place = {name: number for number, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
-
-
-@pytest.fixture(scope="session", autouse=True)
-def composed_once() -> Iterator[None]:
-    """Spare the commands that tests run in this process Hydra's first composing, which only looks for hydra.mode."""
-    from hydra._internal.hydra import Hydra
-
-    asked = Hydra.get_mode
-
-    def mode(self: Hydra, config_name: str | None, overrides: list[str]) -> Any:
-        told = any("hydra.mode" in override for override in overrides)
-        return asked(self, config_name, overrides) if told else None
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Hydra, "get_mode", mode)
-        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,3 +1,4 @@
+import gc
 import json
 import os
 import pickle
@@ -255,6 +256,30 @@ def test_a_sweep_makes_a_folder_a_job_and_a_json_line_a_job(lab: Lab, capsys: py
     assert [folder.name for _, _, folder in lab.calls] == ["0", "1"]
 
 
+def test_hydras_mode_can_be_set_by_an_override_or_a_config_of_ones_own(lab: Lab) -> None:
+    assert cli.main(["train", "hydra.mode=MULTIRUN", "seed=1,2", "out=told"]) == 0
+    Path("mine").mkdir()
+    Path("mine/own.yaml").write_text("defaults: [config, _self_]\nhydra: {mode: MULTIRUN}\n")
+    assert cli.main(["train", "--config-dir", "mine", "--config-name", "own", "seed=3,4", "out=held"]) == 0
+    assert [config.seed for _, config, _ in lab.calls] == [1, 2, 3, 4]
+
+
+def test_a_config_is_composed_once(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hydra._internal.hydra import Hydra
+
+    composed: list[object] = []
+    asked, compose = Hydra.get_mode, Hydra.compose_config
+
+    def counted(self: Hydra, *given: Any, **named: Any) -> DictConfig:
+        composed.append(given)
+        return compose(self, *given, **named)
+
+    monkeypatch.setattr(Hydra, "compose_config", counted)
+    assert cli.main(["train", "seed=1"]) == 0
+    assert len(composed) == 1
+    assert Hydra.get_mode is asked
+
+
 def test_a_sweep_over_tasks_stays_in_one_folder(lab: Lab) -> None:
     assert cli.main(["train", "-m", "task=shelf,knife"]) == 0
     assert len({folder.parent for _, _, folder in lab.calls}) == 1
@@ -394,9 +419,13 @@ def test_debug_adds_the_traceback(lab: Lab, capsys: pytest.CaptureFixture[str]) 
 def test_the_surroundings_are_left_as_they_were(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HYDRA_FULL_ERROR", raising=False)
     lab.fail_with(RuntimeError("bug"))
-    before = sys.argv, sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM), Path.cwd()
+    collects = gc.get_threshold()
+    gc.set_threshold(701, 12, 13)
+    before = sys.argv, sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM), Path.cwd(), gc.get_threshold()
     cli.main(["train", "--json"])
-    assert before == (sys.argv, sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM), Path.cwd())
+    after = sys.argv, sys.stdout, sys.stderr, signal.getsignal(signal.SIGTERM), Path.cwd(), gc.get_threshold()
+    gc.set_threshold(*collects)
+    assert before == after
     assert "HYDRA_FULL_ERROR" not in os.environ
 
 

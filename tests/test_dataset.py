@@ -7,6 +7,7 @@ from parts import as_demonstrations
 from koopdqn import pose
 from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.errors import BadInputError
+from koopdqn.paths import to_step
 from koopdqn.pose import Array
 
 
@@ -101,3 +102,18 @@ def test_the_digest_is_of_everything_that_is_said() -> None:
     ]
     assert two.digest() == as_demonstrations("shelf", [GOOD, some_poses(1)]).digest()
     assert len({two.digest(), *(other.digest() for other in others)}) == 1 + len(others)
+
+
+def test_resampled_poses_are_made_once_and_stay_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    demonstrations = as_demonstrations("shelf", [GOOD, some_poses(1)])
+    expected = to_step([GOOD, some_poses(1)], 0.1, 0.2)
+    first = demonstrations.resampled(0.1, 0.2)
+    for got, wanted in zip(first, expected, strict=True):
+        np.testing.assert_array_equal(got, wanted)
+    with pytest.raises(ValueError, match="read-only"):
+        first[0][0] = 0.0
+    first.pop()
+    monkeypatch.setattr("koopdqn.demonstrations.dataset.to_step", lambda *given: pytest.fail("made again"))
+    assert len(demonstrations.resampled(0.1, 0.2)) == 2
+    with pytest.raises(pytest.fail.Exception):
+        demonstrations.resampled(0.1, 0.3)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, product
 from typing import TYPE_CHECKING
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from koopdqn import pose
 from koopdqn.errors import BadInputError
+from koopdqn.paths import to_step
 from koopdqn.pose import Array
 from koopdqn.settings import FARTHEST_M
 
@@ -113,6 +114,9 @@ class Demonstrations:
     items: Sequence[Demonstration]
     held_out: int = 0
     placement: "Placement | None" = None
+    _resampled: dict[tuple[float, float], list[Array]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         """Check the number of trajectories."""
@@ -126,6 +130,16 @@ class Demonstrations:
     def __len__(self) -> int:
         """Return the number of demonstrations."""
         return len(self.items)
+
+    def resampled(self, step: float, turn: float) -> list[Array]:
+        """Return the poses (N, 7) of each, resampled as :func:`koopdqn.paths.to_step` does; not to be written to."""
+        # Fit, its picture and the training all ask for the same.
+        if (step, turn) not in self._resampled:
+            rows = to_step([item.poses for item in self.items], step, turn)
+            for each in rows:
+                each.setflags(write=False)
+            self._resampled[step, turn] = rows
+        return list(self._resampled[step, turn])
 
     def digest(self) -> str:
         """Return the SHA-256 of the content, independent of the file."""

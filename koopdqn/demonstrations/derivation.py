@@ -14,7 +14,7 @@ from koopdqn.demonstrations.dataset import Demonstration, Demonstrations
 from koopdqn.demonstrations.inspection import compare
 from koopdqn.demonstrations.preprocess import Trimmed, largest_turn_from, rotation_type_of, smooth, trim_idle_each
 from koopdqn.errors import BadInputError
-from koopdqn.paths import arc_lengths, at_arc_lengths, to_count, to_step
+from koopdqn.paths import arc_lengths, at_arc_lengths, to_count
 from koopdqn.pose import Array
 from koopdqn.settings import Fraction, Positive
 from koopdqn.tasks.demonstrated import LEAST_WAY, DemonstratedTask, RotationType
@@ -156,7 +156,7 @@ class Derivation(TaskChoice):
     ) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
         turn = TURNS_PER_STEP * self.rotation_tolerance_rad
-        trajectories = to_step([item.poses for item in training.items], step, turn)
+        trajectories = training.resampled(step, turn)
         starts = np.array([trajectory[0] for trajectory in trajectories])
         way = pose.position_distance(starts, goal)
         least = LEAST_WAY * self.goal_tolerance_m

@@ -26,7 +26,7 @@ from koopdqn.intent.validation import (
     length_ratio,
     sizes_of,
 )
-from koopdqn.paths import arc_lengths, hausdorff, to_count, to_step
+from koopdqn.paths import arc_lengths, hausdorff, to_count
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
 from koopdqn.tasks.actions import reached_poses, within_tolerance
@@ -200,8 +200,7 @@ class Fitted:
 
 def agent_steps(demonstrations: Demonstrations, task: Task) -> list[Array]:
     """Return the demonstrations' poses (N, 7), each resampled to the agent's step."""
-    turn = TURNS_PER_STEP * task.rotation_tolerance_rad
-    return to_step([item.poses for item in demonstrations.items], task.step_m, turn)
+    return demonstrations.resampled(task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad)
 
 
 def fit(

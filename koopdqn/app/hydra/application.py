@@ -226,7 +226,8 @@ def _call_hydra(job: Callable[["DictConfig"], float | None], arguments: Sequence
     refused = False
     try:
         # Hydra adds a line of its own for a failed job, which says nothing the error does not
-        with contextlib.redirect_stderr(cast(TextIO, _WithoutHydraLine(sys.stderr))):
+        line = contextlib.redirect_stderr(cast(TextIO, _WithoutHydraLine(sys.stderr)))
+        with line, _composed_once(arguments):
             hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=_CONFIG)(job)()
     except BadInputError:
         refused = True
@@ -241,6 +242,26 @@ def _call_hydra(job: Callable[["DictConfig"], float | None], arguments: Sequence
             os.environ["HYDRA_FULL_ERROR"] = full
         register_resolver(check=False)
         release_taken(refused=refused)
+
+
+@contextlib.contextmanager
+def _composed_once(arguments: Sequence[str]) -> Iterator[None]:
+    """Spare Hydra its first composing, which only looks for hydra.mode, where nothing given can set it."""
+    from hydra._internal.hydra import Hydra
+
+    kind: Any = Hydra
+    asked = kind.get_mode
+
+    def unset(*_given: object, **_named: object) -> None:
+        # A command that the job itself calls may be given another.
+        kind.get_mode = asked
+
+    if not any(word.startswith("--config") or "hydra." in word for word in arguments):
+        kind.get_mode = unset
+    try:
+        yield
+    finally:
+        kind.get_mode = asked
 
 
 @contextlib.contextmanager
