@@ -155,8 +155,7 @@ class Derivation(TaskChoice):
         self, training: Demonstrations, goal: Array, turning: RotationType, kept: int, *, unfolds: bool
     ) -> DemonstratedTask:
         step = self.step_m or _step([item.poses for item in training.items])
-        turn = TURNS_PER_STEP * self.rotation_tolerance_rad
-        trajectories = training.resampled(step, turn)
+        trajectories = training.resampled(step, TURNS_PER_STEP * self.rotation_tolerance_rad)
         starts = np.array([trajectory[0] for trajectory in trajectories])
         way = pose.position_distance(starts, goal)
         least = LEAST_WAY * self.goal_tolerance_m

@@ -162,7 +162,9 @@ class IntentReward:
         """Return what :meth:`evaluate_actions` does, of poses that need no check: training asks at every step."""
         local = poses if starts is None else self.model.start_frame.to_frame(poses, starts)
         here = self.trust.assess(local, steps)
-        predicted = self._predicted(local, here.demonstrated)
+        fitted = self.model.fitted.predict(local)
+        # Answers correct it where demonstrations do not decide.
+        predicted = np.where(here.demonstrated[:, None], fitted, self.model.correct(local, fitted))
         if starts is not None:
             predicted = self.model.start_frame.from_frame(predicted, starts, poses)
         if self.settings.prediction == "rescaled":
@@ -210,11 +212,6 @@ class IntentReward:
         if twists is not None:
             reached.append(moved_by(poses[:, None], twists, self.task))
         return reached[0] if len(reached) == 1 else np.concatenate(reached, axis=1)
-
-    def _predicted(self, poses: Array, demonstrated: np.ndarray) -> Array:
-        """Return the predictions (N, 7) at local poses, corrected by answers where demonstrations do not decide."""
-        fitted = self.model.fitted.predict(poses)
-        return np.where(demonstrated[:, None], fitted, self.model.correct(poses, fitted))
 
     def _trust(self, here: Trust, reached: Array, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array]:
         """Return which actions (N, 10) demonstrations trust, which only an answer certifies, and the doubt of each."""

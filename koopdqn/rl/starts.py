@@ -93,7 +93,9 @@ class StartSampler:
             pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
             if task.orientation == "learned":
                 pose[3:] = _turned(pose[3:], task, agent.exploring_spread_rad, rng)
-            start = self._start_at(which, index, task.draw_starts(rng, 1)[0])
+            start, begun = task.draw_starts(rng, 1)[0], self._begun[which]
+            if begun is not None and (begun[index] != begun[0]).any():
+                start = begun[index]
             pose = self.frame.from_frame(pose[None], start[None], pose[None])[0]
             motion = reachability.enter(pose)
             if motion.joints is not None and not task.arrived(pose[None], start[None])[0]:
@@ -102,11 +104,6 @@ class StartSampler:
             f"task {task.name}: the arm must be able to begin along the demonstrations,"
             f" found {_MOST_DRAWS} draws in a row refused"
         )
-
-    def _start_at(self, which: int, index: int, start: Array) -> Array:
-        """Return the start (7,) that counts at a pose of a demonstration: a given one, or that of its leg."""
-        begun = self._begun[which]
-        return start if begun is None or (begun[index] == begun[0]).all() else begun[index]
 
     @cached_property
     def _begun(self) -> list[Array | None]:

@@ -162,6 +162,7 @@ class Dashboard:
         success = np.array([check.success_rate for check in checks])
         distance = 1e3 * trainer.workcell.task.step_m * np.array([check.intent_distance for check in checks])
         losses = np.array(history.losses)
+        (began, steps), now = self._recent[0], monotonic()
         none = "no check yet"
         rows = [
             ("time left", self._left(), ""),
@@ -170,7 +171,7 @@ class Dashboard:
             ("passed", f"{trainer.progress.passed} of {settings.checks_to_learn} checks", ""),
             ("questions", f"{trainer.questions:,}" + ("" if self._budget is None else f" of {self._budget:,}"), ""),
             ("actions", f"{trainer.env_steps:,}", ""),
-            ("a second", f"{self._rate():,.0f}", ""),
+            ("a second", f"{(trainer.env_steps - steps) / max(now - began, 1e-9):,.0f}", ""),
             ("episodes", f"{len(history.rewards):,}", ""),
             ("updates", f"{trainer.learner.updates:,}", ""),
             ("loss", f"{losses[-1]:.3g}" if len(losses) else none, _spark(losses)),
@@ -212,11 +213,6 @@ class Dashboard:
         checks = settings.checks_to_learn - trainer.progress.passed
         wanted = checks * settings.check_every - trainer.learner.updates % settings.check_every
         return f"{_clock(wanted * seconds / made)} to {most}"
-
-    def _rate(self) -> float:
-        """Return the actions a second of late."""
-        (began, steps), (now, reached) = self._recent[0], (monotonic(), self._trainer.env_steps)
-        return (reached - steps) / max(now - began, 1e-9)
 
     def _sources(self) -> RenderableType:
         labelled = self._trainer.history.labelled

@@ -258,8 +258,7 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
     return [
         f"{verdict}: {report['seconds']:.1f} s, {report['updates']} updates, {report['env_steps']} actions tried,"
         f" {console.counted(report['oracle_queries'], 'question')} asked",
-        *_spent(trainer, folder),
-        *_cut_short(trainer),
+        *_ended_early(trainer, folder),
         f"rewards that the demonstrator agrees with: {shown}",
         f"policy          {console.shown_path(folder / POLICY)}",
         f"report          {console.shown_path(folder / TRAINING)}",
@@ -267,16 +266,11 @@ def _lines(report: dict[str, Any], folder: Path, trainer: Trainer) -> list[str]:
     ]
 
 
-def _spent(trainer: Trainer, folder: Path) -> list[str]:
-    """Return a remark if training ended because no more questions may be asked."""
-    if trainer.learned or not trainer.feedback.stopped:
-        return []
-    return [f"stopped by oracle.budget={trainer.questions}: {how_to_go_on('train', folder)} with a larger one"]
-
-
-def _cut_short(trainer: Trainer) -> list[str]:
-    """Return a remark if training went on past "learned" but less far than ``train.extend`` asks."""
+def _ended_early(trainer: Trainer, folder: Path) -> list[str]:
+    """Return a remark if no more questions may be asked, or training went less far than ``train.extend`` asks."""
     settings = trainer.settings
+    if trainer.feedback.stopped and not trainer.learned:
+        return [f"stopped by oracle.budget={trainer.questions}: {how_to_go_on('train', folder)} with a larger one"]
     if settings.stop == "learned" or settings.extend is None or not trainer.learned:
         return []
     reached = trainer.env_steps / trainer.progress.learned_at

@@ -195,16 +195,10 @@ def _header(every: list[str], kept: list[int], rows: list[int]) -> tuple[str | N
 
 
 def _delimiter_of(row: str) -> str | None:
-    for each in _DELIMITERS:
-        if each in row and not (each == "," and _decimal_commas(row)):
-            return each
-    return None
-
-
-def _decimal_commas(row: str) -> bool:
-    """Return whether the commas of a row stand within numbers and blanks separate them: 0,1 0,2 0,3."""
     cells = row.split()
-    return len(cells) > 1 and all(re.fullmatch(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?", cell) for cell in cells)
+    # Commas may stand within numbers that blanks separate: 0,1 0,2 0,3.
+    decimal = len(cells) > 1 and all(re.fullmatch(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?", cell) for cell in cells)
+    return next((each for each in _DELIMITERS if each in row and not (each == "," and decimal)), None)
 
 
 def _split(row: str, delimiter: str | None) -> list[str]:
