@@ -2,12 +2,13 @@
 
 import gc
 import os
+import pickle
 import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from absl import logging as absl_logging
@@ -114,6 +115,35 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason=NO_OPENGL))
     place = {name: number for number, name in enumerate(_LONGEST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def read_once() -> Iterator[None]:
+    """Let Hydra read its own configs and the package's, which stay as they are, once for all tests in this process."""
+    from hydra._internal.sources_registry import SourcesRegistry
+    from hydra.core.plugins import Plugins
+
+    from koopdqn.resources import conf_dir
+
+    def once(kind: Any) -> Callable[[Any, str], Any]:
+        read, known = kind.load_config, dict[tuple[str, str, str], bytes]()
+
+        def load(self: Any, config_path: str) -> Any:
+            if self.path not in ("hydra.conf", str(conf_dir())):
+                return read(self, config_path)
+            key = self.path, self.provider, config_path
+            if key not in known:
+                known[key] = pickle.dumps(read(self, config_path))
+            return pickle.loads(known[key])
+
+        return load
+
+    Plugins.instance()
+    with pytest.MonkeyPatch.context() as patched:
+        for scheme in ("file", "pkg"):
+            kind = SourcesRegistry.instance().resolve(scheme)
+            patched.setattr(kind, "load_config", once(kind))
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)
