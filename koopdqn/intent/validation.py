@@ -234,9 +234,9 @@ def convergence(model: IntentModel, trust: TrustDomain, trajectories: list[Array
         return model.to_step(poses, model.intended(poses, starts), task.step_m, starts)
 
     there = _arrives(in_frame, demonstrated, task, STILL, limit)
-    far, near = (_arrives(from_starts, starts, task, model.start_frame, limit) for starts in (wide, drawn))
-    region = np.concatenate([there, near])
-    return float(region.mean()), float(far.mean())
+    far_and_near = _arrives(from_starts, np.concatenate([wide, drawn]), task, model.start_frame, limit)
+    region = np.concatenate([there, far_and_near[len(wide) :]])
+    return float(region.mean()), float(far_and_near[: len(wide)].mean())
 
 
 def _beside(trust: TrustDomain, trajectories: list[Array], rng: np.random.Generator) -> Array:
