@@ -122,13 +122,15 @@ def test_headings_are_whole_words_at_80_columns(
     assert [f"run {label}  {run}" for label, run in zip("AB", runs, strict=True)] == told.splitlines()[:2]
 
 
-def test_a_run_beside_itself_differs_in_nothing(
-    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_beside_itself_differs_in_nothing_and_leaves_nothing_else(
+    runs: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     content = compared((runs[0], runs[0]), tmp_path / "out", capsys)
     assert content["differences"] == []
     one, other = content["runs"]
     assert {**one, "label": "B"} == other
+    assert [each.name for each in tmp_path.iterdir()] == ["out"]
 
 
 def test_runs_are_named_as_often_as_there_are(runs: tuple[Path, Path]) -> None:

@@ -169,3 +169,4 @@ def test_a_run_whose_task_is_made_otherwise_today_is_evaluated_with_its_own(
     assert "task: as in the run, from which today's defaults differ" in capsys.readouterr().err
     holdout = json.loads((logs / "measured" / "eval.json").read_text())["holdout"]
     assert holdout["baselines"]["floor"]["success_rate"] == 1.0
+    assert not (logs / "runs").exists()

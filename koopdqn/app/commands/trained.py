@@ -119,7 +119,8 @@ def as_recorded(run: Path, config: Configuration, *more: str) -> list[str]:
 
     What a run folder cannot say is the present command's: where options are searched, and where its arm's file lies.
     """
-    given = [f"run={run}", *more]
+    # A folder of the default name would be made.
+    given = [f"run={run}", "out=unused", *more]
     arms = [item.value for item in read_record(run, "a training run") if item.key == "robot"]
     if arms[-1:] == ["mjcf"]:
         given += [f"robot.path={config.robot.path}"] if isinstance(config.robot, MjcfArm) else given_now("robot")
