@@ -12,6 +12,10 @@ from koopdqn.pose import Array
 # A turn of so little motion [m/rad] is one on the spot; it counts as so much of the way [m/rad]. Below the least angle
 # [rad] it is rounding.
 _ON_THE_SPOT, _TURN_LENGTH, _NO_TURN = 0.001, 0.1, 1e-6
+# What a metre of the way counts beside one in space where the way begins, and the least share of it that is left.
+_WAY_COUNTS, _LEAST_LEFT = 0.1, 0.005
+# How many poses of a trajectory are told to places, of as many places as one.
+_FINER = 4
 
 
 @dataclass(frozen=True)
@@ -191,10 +195,50 @@ def mean_poses(trajectories: Sequence[Array], count: int | None = None) -> Array
     """
     count = max(len(rows) for rows in trajectories) if count is None else count
     aligned = np.array([to_count(rows, count, way_lengths(rows)) for rows in trajectories])
-    turns = aligned[..., pose.QUATERNION]
-    # q and −q are the same rotation.
-    turns = turns * np.where((turns * turns[0]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
+    turns = _towards(aligned[0, :, pose.QUATERNION], aligned[..., pose.QUATERNION])
     return pose.make(aligned[..., pose.POSITION].mean(axis=0), pose.normalized(turns.mean(axis=0)))
+
+
+def turned_as_shown(path: Array, trajectories: Sequence[Array]) -> Array:
+    """Return poses (N, 7) evenly along the way of trajectories (M, 7), turned as these are where they pass each place.
+
+    At equal shares of their ways paths are not at equal places, and the mean of orientations there smears a turn by
+    as much. So every pose counts at the place nearest to it, and places that have none are interpolated. Near are what
+    is near in space and has about as much of the way left, since all end together: a tenth of the way times the
+    logarithm of what is left counts as a fourth coordinate. It tells passages of one place, and poses of a turn on the
+    spot, from one another. What begins farther on says nothing of places before.
+    """
+    from scipy.spatial import cKDTree
+
+    places, length = np.arange(float(len(path))), way_lengths(path)[-1]
+    tree = cKDTree(_with_way_left(path, length))
+    shown = np.empty((len(trajectories), len(path), 4))
+    passed = np.zeros(shown.shape[:2], dtype=bool)
+    for index, rows in enumerate(trajectories):
+        fine = to_count(rows, _FINER * len(path), way_lengths(rows))
+        nearest = tree.query(_with_way_left(fine, length))[1]
+        turns = _towards(path[nearest, pose.QUATERNION], fine[:, pose.QUATERNION])
+        known, place = np.unique(nearest, return_inverse=True)
+        sums = np.zeros((len(known), 4))
+        np.add.at(sums, place, turns)
+        shown[index] = pose.normalized(at_arc_lengths(pose.normalized(sums), known.astype(float), places))
+        # All end together, whatever passes that place before.
+        shown[index, -1] = turns[-1]
+        passed[index, known[0] : known[-1] + 1] = True
+    passed[:, ~passed.any(axis=0)] = True
+    turns = _towards(path[:, pose.QUATERNION], shown) * passed[..., None]
+    return pose.make(path[:, pose.POSITION], pose.normalized(turns.sum(axis=0)))
+
+
+def _with_way_left(poses: Array, length: float) -> Array:
+    """Return the positions of poses (N, 7) evenly along a way [m], and what is left of it as a coordinate (N, 4)."""
+    left = np.linspace(1.0, 0.0, len(poses))
+    return np.column_stack([poses[:, pose.POSITION], _WAY_COUNTS * length * np.log(left + _LEAST_LEFT)])
+
+
+def _towards(near: Array, quaternions: Array) -> Array:
+    """Return quaternions (..., 4) with the sign, of the two of each rotation, that is nearer to ``near`` (..., 4)."""
+    return quaternions * np.where((quaternions * near).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
 
 
 def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:

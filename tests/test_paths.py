@@ -1,10 +1,12 @@
+import random
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from koopdqn import pose
-from koopdqn.paths import SmoothPath, arc_lengths, at_arc_lengths, mean_poses, way_lengths
+from koopdqn.paths import SmoothPath, arc_lengths, at_arc_lengths, mean_poses, turned_as_shown, way_lengths
 from koopdqn.pose import Array
 
 
@@ -32,6 +34,57 @@ def test_without_a_turn_on_the_spot_the_way_is_the_arc_length() -> None:
     poses[:, 3:] = pose.from_rotation_vector(np.linspace(0.0, 2.5, len(poses))[:, None] * [0.0, 0.0, 1.0])
     poses = poses[np.concatenate([[True], np.diff(poses[:, 0]) > 0.0])]
     np.testing.assert_array_equal(way_lengths(poses), arc_lengths(poses[:, :3]))
+
+
+def turned_by_place(x: Array, y: Array) -> Array:
+    """Poses (N, 7) at places x, y [m] that turn about x by a function of x alone, from 0.05 m to 0.15 m."""
+    u = np.clip((x - 0.05) / 0.1, 0.0, 1.0)
+    angle = 2.8 * u**2 * (3.0 - 2.0 * u)
+    turn = pose.from_rotation_vector(angle[:, None] * [1.0, 0.0, 0.0])
+    return pose.make(np.stack([x, y, np.zeros_like(x)], axis=1), turn)
+
+
+@given(st.lists(st.floats(-0.03, 0.03), min_size=2, max_size=6, unique=True), st.randoms(use_true_random=False))
+def test_a_path_turns_as_shown_at_its_places_however_far_apart_others_begin(
+    begins: list[float], random: random.Random
+) -> None:
+    """By shares of the way, paths begun 60 mm apart are averaged over as much."""
+    shown = [turned_by_place(np.linspace(x, 0.3, 180), np.full(180, random.uniform(-0.01, 0.01))) for x in begins]
+    turned = turned_as_shown(mean_poses(shown), shown)
+    wanted = turned_by_place(turned[:, 0], turned[:, 1])
+    assert pose.rotation_distance(turned, wanted).max() < 0.03
+
+
+def test_what_begins_farther_on_says_nothing_of_the_places_before() -> None:
+    early, late = (turned_by_place(np.linspace(x, 0.3, 180), np.zeros(180)) for x in (0.0, 0.12))
+    late[:, 3:] = pose.IDENTITY[3:]
+    turned = turned_as_shown(early, [early, late])
+    before = early[:, 0] < 0.11
+    assert pose.rotation_distance(turned, early)[before].max() < 0.02
+    halved = 0.5 * pose.rotation_distance(early, pose.IDENTITY)
+    assert pose.rotation_distance(turned, early)[-1] == pytest.approx(halved[-1])
+
+
+def test_passages_of_one_place_keep_their_own_turns() -> None:
+    """There and back along one line, turned only on the way back."""
+    there = turned_by_place(np.linspace(0.0, 0.04, 100), np.zeros(100))
+    back = there[::-1].copy()
+    # Less than a radian a millimetre, which would be a turn on the spot.
+    back[:, 3:] = pose.from_rotation_vector(np.array([0.3, 0.0, 0.0]))
+    path = np.concatenate([there, back[1:]])
+    turned = turned_as_shown(path, [path, path])
+    # A place counts as near another where the ways there differ by less than ten times their distance.
+    away = np.abs(np.arange(len(path)) - 99) > 5
+    assert pose.rotation_distance(turned, path)[away].max() < 1e-6
+
+
+@given(st.lists(st.floats(0.0, 2.0), min_size=2, max_size=5))
+def test_a_path_turned_as_shown_ends_as_the_others_do(angles: list[float]) -> None:
+    shown = [turning(angle, place=0.95) for angle in angles]
+    ends = np.array([rows[-1] for rows in shown])
+    mean = turned_as_shown(mean_poses(shown), shown)[-1:]
+    wanted = pose.make(ends[:, :3].mean(axis=0), ends[:, 3:].mean(axis=0))
+    assert pose.rotation_distance(mean, wanted)[0] < 1e-6
 
 
 numbers = st.floats(-0.4, 0.4, allow_nan=False)

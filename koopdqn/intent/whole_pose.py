@@ -17,7 +17,7 @@ from koopdqn.intent.augment import SPACING_M, PursuitPath
 from koopdqn.intent.koopman import KoopmanModel
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.observables import Observables, RandomFourier
-from koopdqn.paths import mean_poses, to_count, way_lengths
+from koopdqn.paths import mean_poses, to_count, turned_as_shown, way_lengths
 from koopdqn.pose import Array
 from koopdqn.settings import Interval
 from koopdqn.tasks.start_frame import STILL, StartFrame
@@ -30,8 +30,6 @@ _PLACE, _TURN = slice(0, 3), slice(3, 12)
 _LEAST_SPREAD_M = 1e-6
 # Over which share of the way their offsets fade, at least and at most; slower ones are the start frame's.
 _FADING = 0.005, 0.125
-# Samples of the mean nearer together than this [m] are of one turn on the spot.
-_ON_THE_SPOT_M = 1e-3
 # So much of the way is straightened at most: more would lose its shape.
 _STRAIGHTENED = 0.1
 # What names of the start frame's arrays begin with.
@@ -215,11 +213,10 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     demonstrations' own offsets from the mean do, taken at right angles to it (least squares): those along it also tell
     how far the shares of two ways are apart. From all of the region behind its beginning the path is led to as it
     begins, so that what is left there to chance must not turn it: up to 2ℓ, of a tenth of the way at most, it is the
-    cubic that leaves the middle straight and runs into what follows. Orientations stay where they were shown. Where all
-    begin alike, the mean stays as it is.
+    cubic that leaves the middle straight and runs into what follows. Orientations are those shown at its places. Where
+    all begin alike, the mean stays as it is.
     """
     from scipy.optimize import minimize_scalar
-    from scipy.spatial import cKDTree
 
     places, arc = mean[:, pose.POSITION], way_lengths(mean)
     directions = np.gradient(places, axis=0)
@@ -240,10 +237,7 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     onward *= pose.norm(way) / max(float(pose.norm(onward)), 1e-12)
     share = (arc[:joined] / arc[joined])[:, None]
     moved[:joined] = middle + share * (1.5 * way - 0.5 * onward) + share**3 * (0.5 * onward - 0.5 * way)
-    nearest = cKDTree(places).query(moved)[1]
-    # Of turns on the spot all lie there.
-    elsewhere = pose.norm(places[nearest] - places) > _ON_THE_SPOT_M
-    return pose.make(moved, mean[np.where(elsewhere, nearest, np.arange(len(mean))), pose.QUATERNION])
+    return turned_as_shown(pose.make(moved, mean[:, pose.QUATERNION]), trajectories)
 
 
 def _across(vectors: Array, directions: Array) -> Array:
