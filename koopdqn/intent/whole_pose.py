@@ -58,7 +58,9 @@ class WholePoseSettings(IntentSettings):
     far_rad: float = Field(gt=0, description="standard deviation of their rotation [rad]")
     lead_back_steps: float = Field(gt=0, description="distance over which they lead back, in steps of the agent")
     from_middle: bool = Field(
-        default=False, description="whether the mean path is moved to begin in the middle of the task's start region"
+        default=False,
+        description="whether the mean path is moved to begin in the middle of the task's start region, and turns as"
+        " demonstrations do where they pass its places",
     )
     touching_m: float = Field(
         ge=0,
@@ -74,11 +76,16 @@ class WholePoseSettings(IntentSettings):
         return StartFrame.chosen(trajectories, task.nominal_start, task.goal)
 
     def mean(self, trajectories: list[Array], task: Task) -> Array:
-        """Return the mean path (N, 7), begun in the middle of the start region where the task itself knows one."""
+        """Return the mean path (N, 7).
+
+        Where the task itself knows its start region the mean begins in the middle of it, and turns as trajectories do
+        where they pass its places.
+        """
         mean = mean_poses(trajectories)
-        if self.from_middle and task.demonstrated_middle is not None:
-            return _moved_to(task.demonstrated_middle, mean, trajectories)
-        return mean
+        if not self.from_middle or task.demonstrated_middle is None:
+            return mean
+        moved = _moved_to(task.demonstrated_middle, mean, trajectories)
+        return moved if task.orientation == "held" else turned_as_shown(moved, trajectories)
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
         """Return the model fitted to pose trajectories (N, 7)."""
@@ -213,8 +220,7 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     demonstrations' own offsets from the mean do, taken at right angles to it (least squares): those along it also tell
     how far the shares of two ways are apart. From all of the region behind its beginning the path is led to as it
     begins, so that what is left there to chance must not turn it: up to 2ℓ, of a tenth of the way at most, it is the
-    cubic that leaves the middle straight and runs into what follows. Orientations are those shown at its places. Where
-    all begin alike, the mean stays as it is.
+    cubic that leaves the middle straight and runs into what follows. Where all begin alike, the mean stays as it is.
     """
     from scipy.optimize import minimize_scalar
 
@@ -237,7 +243,7 @@ def _moved_to(middle: Array, mean: Array, trajectories: list[Array]) -> Array:
     onward *= pose.norm(way) / max(float(pose.norm(onward)), 1e-12)
     share = (arc[:joined] / arc[joined])[:, None]
     moved[:joined] = middle + share * (1.5 * way - 0.5 * onward) + share**3 * (0.5 * onward - 0.5 * way)
-    return turned_as_shown(pose.make(moved, mean[:, pose.QUATERNION]), trajectories)
+    return pose.make(moved, mean[:, pose.QUATERNION])
 
 
 def _across(vectors: Array, directions: Array) -> Array:
