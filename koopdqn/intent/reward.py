@@ -13,7 +13,7 @@ from koopdqn.intent.model import IntentModel
 from koopdqn.intent.trust import Trust, TrustDomain
 from koopdqn.pose import Array
 from koopdqn.settings import Settings
-from koopdqn.tasks.actions import SUGGESTED, excess, legal_actions, moved_by, reached_poses, toward
+from koopdqn.tasks.actions import SUGGESTED, excess, legal_actions, moved_by, reached_poses, toward, twists_between
 from koopdqn.tasks.task import NO_MOTION, Task
 
 # Where a reward came from.
@@ -203,6 +203,17 @@ class IntentReward:
             at_goal,
             np.full_like(source, NO_ANSWER),
         )
+
+    def nearest_actions(self, poses: Array, starts: Array) -> np.ndarray:
+        """Return the actions nearest to the prediction from poses (N, 7) of episodes that began at starts (N, 7).
+
+        They are indices (N,), or twists (N, 3 or 6) where actions are continuous.
+        """
+        evaluation = self.evaluated(poses, np.zeros(len(poses), dtype=np.int64), starts)
+        best = evaluation.margin.argmax(axis=1)
+        if not self.continuous:
+            return np.asarray(best)
+        return twists_between(poses, evaluation.reached[np.arange(len(poses)), best], self.task)
 
     def _reached(self, poses: Array, predicted: Array, twists: Array | None) -> Array:
         """Return the poses (N, A, 7) that all actions reach from poses (N, 7), given the prediction (N, 7)."""

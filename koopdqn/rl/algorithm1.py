@@ -266,7 +266,8 @@ class Trainer:
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
         self._losses.clear()
-        if self.progress.add(check, self.settings):
+        nearest = self.feedback.reward.nearest_actions
+        if self.progress.add(check, self.settings, lambda: self._checker.goes_another_way(nearest)):
             self.best = self.learner.policy_arrays()
         return check
 

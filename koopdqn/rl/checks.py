@@ -1,5 +1,6 @@
 """How a training goes: checks of the policy on held-out starts, whether the task is learned, and the history."""
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -13,12 +14,16 @@ from koopdqn.intent.tube import scaled_distances
 from koopdqn.pose import Array
 from koopdqn.rl.settings import TrainSettings
 from koopdqn.tasks.moved_goals import draw_starts
-from koopdqn.tasks.rollout import SUCCESS, Controller, roll_out
+from koopdqn.tasks.rollout import SUCCESS, Controller, Episode, roll_out
 from koopdqn.tasks.step import TURNS_PER_STEP
 from koopdqn.tasks.workcell import Workcell
 
 # A check so many times as far from the intent as the first that passed shows a policy that is not settled.
 _ASTRAY = 1.5
+# A path so many times as far from the intent as the nearest actions lead, or as a step, goes another way.
+_ANOTHER_WAY = 2.0
+# So many times as many checks must say that such a path comes no nearer.
+_PATIENCE = 3
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,7 @@ class Checker:
         self._model = model
         self._step_limit = step_limit
         self.path: Array = np.zeros((0, 7))
+        self._apart: list[Array] = []
         rng = np.random.default_rng([settings.check_seed, 3])
         drawn = draw_starts(workcell, workcell.task, rng, settings.check_starts)
         self._starts, self._joints, self._moved = drawn.starts, drawn.joints, drawn.moved
@@ -59,19 +65,40 @@ class Checker:
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
         start, in steps of position or in five rotation tolerances of turn, whichever is larger.
         """
-        workcell, task = self._workcell, self._workcell.task
-        begun = self._starts, self._joints, self._step_limit
-        episodes = roll_out(policy, task, workcell.reachability, *begun, cut_circles=True, moved=self._moved)
-        self.path = episodes[0].poses
+        episodes = self._rolled_out(policy)
+        self.path, self._apart = episodes[0].poses, self._from_intent(episodes)
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
-        intended = self._intended
+        return outcomes.count(SUCCESS) / len(outcomes), float(np.concatenate(self._apart).mean()), failures
+
+    def goes_another_way(self, nearest: Controller) -> bool:
+        """Return whether the latest measured policy is far from the intent beside the actions nearest to it.
+
+        Far is twice their distance, and more than two steps, from the starts from which those succeed.
+        """
+        episodes = self._rolled_out(nearest)
+        arrived = [index for index, episode in enumerate(episodes) if episode.outcome == SUCCESS]
+        if not arrived:
+            return False
+        own, theirs = (
+            float(np.concatenate([apart[index] for index in arrived]).mean())
+            for apart in (self._apart, self._from_intent(episodes))
+        )
+        return own > _ANOTHER_WAY * max(theirs, 1.0)
+
+    def _rolled_out(self, controller: Controller) -> list[Episode]:
+        workcell, task = self._workcell, self._workcell.task
+        begun = self._starts, self._joints, self._step_limit
+        return roll_out(controller, task, workcell.reachability, *begun, cut_circles=True, moved=self._moved)
+
+    def _from_intent(self, episodes: list[Episode]) -> list[Array]:
+        """Return the distances (T,) of every episode's poses from the intent's roll-out from the same start."""
+        task, intended = self._workcell.task, self._intended
         unit = np.tile([task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad], (len(intended), 1))
-        each = [
+        return [
             scaled_distances(episode.poses, intended[:, index], unit).min(axis=1)
             for index, episode in enumerate(episodes)
         ]
-        return outcomes.count(SUCCESS) / len(outcomes), float(np.concatenate(each).mean()), failures
 
     @cached_property
     def _intended(self) -> Array:
@@ -105,8 +132,11 @@ class Progress:
         """Whether enough checks in a row were passed."""
         return self.learned_at >= 0
 
-    def add(self, check: Check, settings: TrainSettings) -> bool:
-        """Add a check; return whether it is the best so far."""
+    def add(self, check: Check, settings: TrainSettings, goes_another_way: Callable[[], bool] = lambda: False) -> bool:
+        """Add a check; return whether it is the best so far.
+
+        Where its policy ``goes_another_way``, which is asked when the task would be learned, more checks are needed.
+        """
         if check.success_rate < settings.check_success:
             self.passed = 0
         elif self.passed and check.intent_distance > _ASTRAY * self.first_distance:
@@ -116,7 +146,8 @@ class Progress:
             self.passed += 1
         else:
             self.passed, self.first_distance = 1, check.intent_distance
-        if not self.learned and self.passed >= settings.checks_to_learn:
+        needed = settings.checks_to_learn
+        if not self.learned and self.passed >= needed and (self.passed >= _PATIENCE * needed or not goes_another_way()):
             self.learned_at = check.env_steps
         best = (check.success_rate, -check.intent_distance) >= (self.best_success, -self.best_distance)
         if best:

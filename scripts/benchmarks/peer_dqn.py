@@ -76,13 +76,15 @@ class _Checks(BaseCallback):
     def __init__(self, prepared: "Prepared", policy: PeerPolicy, step_limit: int) -> None:
         super().__init__()
         self._settings, self._policy = prepared.config.train, policy
+        self._nearest = prepared.reward.nearest_actions
         self._checker = Checker(prepared.workcell, prepared.reward.model.fitted, self._settings, step_limit)
         self.progress = Progress()
 
     def _on_step(self) -> bool:
         if self.n_calls % _CHECK_EVERY == 0:
             measured = self._checker.measure(self._policy)
-            self.progress.add(Check(self.n_calls, self.n_calls, 0, *measured), self._settings)
+            check = Check(self.n_calls, self.n_calls, 0, *measured)
+            self.progress.add(check, self._settings, lambda: self._checker.goes_another_way(self._nearest))
         return not self.progress.learned
 
 
