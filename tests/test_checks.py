@@ -1,9 +1,14 @@
 import json
 
 import numpy as np
+import pytest
+from parts import Parts
 
-from koopdqn.intent.reward import ASKED, REMEMBERED, RULE, TRUSTED
-from koopdqn.rl.checks import Check, History
+from koopdqn.intent.reward import ASKED, REMEMBERED, RULE, TRUSTED, IntentReward
+from koopdqn.pose import Array
+from koopdqn.rl.checks import Check, Checker, History
+from koopdqn.tasks.rollout import Controller
+from koopdqn.tasks.workcell import Workcell
 
 
 def some_history() -> History:
@@ -48,3 +53,43 @@ def test_two_histories_share_nothing() -> None:
     one.labelled[0] += 1
     assert two.rewards == []
     np.testing.assert_array_equal(two.labelled, 0)
+
+
+UP = 8
+"""Table 1's action along +z."""
+
+
+def over_the_top(nearest: Controller, height_m: float) -> Controller:
+    """Return a controller that goes up at first, over a place it remembers, and then takes the nearest actions."""
+    risen: set[bytes] = set()
+
+    def choose(poses: Array, starts: Array) -> np.ndarray:
+        actions = nearest(poses, starts)
+        for row, (pose, start) in enumerate(zip(poses, starts, strict=True)):
+            if start.tobytes() not in risen and pose[2] - start[2] < height_m:
+                actions[row] = UP
+            else:
+                risen.add(start.tobytes())
+        return actions
+
+    return choose
+
+
+@pytest.fixture(scope="module")
+def checker(workcell: Workcell, reward: IntentReward, parts: Parts) -> Checker:
+    return Checker(workcell, reward.model, parts.train, 900)
+
+
+@pytest.mark.parametrize(("height_m", "another"), [(0.0, False), (0.004, False), (0.07, True)])
+def test_a_way_over_the_top_is_another_way(
+    checker: Checker, reward: IntentReward, height_m: float, another: bool
+) -> None:
+    success, *_ = checker.measure(over_the_top(reward.nearest_actions, height_m))
+    assert success > 0.2
+    assert checker.goes_another_way(reward.nearest_actions) is another
+
+
+def test_of_failures_nothing_is_said(checker: Checker, reward: IntentReward) -> None:
+    success, *_ = checker.measure(lambda poses, starts: np.full(len(poses), UP))
+    assert success == 0.0
+    assert not checker.goes_another_way(reward.nearest_actions)

@@ -54,7 +54,7 @@ class Checker:
         self._model = model
         self._step_limit = step_limit
         self.path: Array = np.zeros((0, 7))
-        self._apart: list[Array] = []
+        self._measured: list[Episode] = []
         rng = np.random.default_rng([settings.check_seed, 3])
         drawn = draw_starts(workcell, workcell.task, rng, settings.check_starts)
         self._starts, self._joints, self._moved = drawn.starts, drawn.joints, drawn.moved
@@ -65,40 +65,40 @@ class Checker:
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
         start, in steps of position or in five rotation tolerances of turn, whichever is larger.
         """
-        episodes = self._rolled_out(policy)
-        self.path, self._apart = episodes[0].poses, self._from_intent(episodes)
+        episodes = self._measured = self._rolled_out(policy)
+        self.path = episodes[0].poses
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
-        return outcomes.count(SUCCESS) / len(outcomes), float(np.concatenate(self._apart).mean()), failures
+        return outcomes.count(SUCCESS) / len(outcomes), self._from_intent(dict(enumerate(episodes))), failures
 
     def goes_another_way(self, nearest: Controller) -> bool:
         """Return whether the latest measured policy is far from the intent beside the actions nearest to it.
 
-        Far is twice their distance, and more than two steps, from the starts from which those succeed.
+        Far is twice their distance, and more than two steps, from the starts from which both succeed.
         """
-        episodes = self._rolled_out(nearest)
-        arrived = [index for index, episode in enumerate(episodes) if episode.outcome == SUCCESS]
-        if not arrived:
-            return False
         own, theirs = (
-            float(np.concatenate([apart[index] for index in arrived]).mean())
-            for apart in (self._apart, self._from_intent(episodes))
+            {index: episode for index, episode in enumerate(episodes) if episode.outcome == SUCCESS}
+            for episodes in (self._measured, self._rolled_out(nearest))
         )
-        return own > _ANOTHER_WAY * max(theirs, 1.0)
+        both = own.keys() & theirs.keys()
+        if not both:
+            return False
+        far, near = (self._from_intent({index: found[index] for index in both}) for found in (own, theirs))
+        return far > _ANOTHER_WAY * max(near, 1.0)
 
     def _rolled_out(self, controller: Controller) -> list[Episode]:
         workcell, task = self._workcell, self._workcell.task
         begun = self._starts, self._joints, self._step_limit
         return roll_out(controller, task, workcell.reachability, *begun, cut_circles=True, moved=self._moved)
 
-    def _from_intent(self, episodes: list[Episode]) -> list[Array]:
-        """Return the distances (T,) of every episode's poses from the intent's roll-out from the same start."""
+    def _from_intent(self, episodes: dict[int, Episode]) -> float:
+        """Return the distance of episodes, by their starts' numbers, from the intent's roll-outs from the same."""
         task, intended = self._workcell.task, self._intended
         unit = np.tile([task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad], (len(intended), 1))
-        return [
-            scaled_distances(episode.poses, intended[:, index], unit).min(axis=1)
-            for index, episode in enumerate(episodes)
+        each = [
+            scaled_distances(episode.poses, intended[:, index], unit).min(axis=1) for index, episode in episodes.items()
         ]
+        return float(np.concatenate(each).mean())
 
     @cached_property
     def _intended(self) -> Array:

@@ -141,7 +141,8 @@ class TrainSettings(Settings):
     check_success: Fraction = Field(description="success rate that passes a check")
     checks_to_learn: Count = Field(
         description="passed checks in a row after which the task is learned, if none is nearer to the intent's roll-out"
-        " than the first by more than the share `gain`"
+        " than the first by more than the share `gain`; three times as many where a policy is twice as far from it as"
+        " the actions nearest to it lead"
     )
     gain: Fraction = Field(description="least relative gain in distance that counts as improvement")
     step_limit_factor: float = Field(
