@@ -20,8 +20,8 @@ from koopdqn.tasks.workcell import Workcell
 
 # A check so many times as far from the intent as the first that passed shows a policy that is not settled.
 _ASTRAY = 1.5
-# A path so many times as far from the intent as the nearest actions lead, or as a step, goes another way.
-_ANOTHER_WAY = 2.0
+# A path so many times as far from the intent as the nearest actions lead, or as two steps, goes another way.
+_ANOTHER_WAY, _NEAR_STEPS = 2.0, 2.0
 # So many times as many checks must say that such a path comes no nearer.
 _PATIENCE = 3
 
@@ -74,17 +74,17 @@ class Checker:
     def goes_another_way(self, nearest: Controller) -> bool:
         """Return whether the latest measured policy is far from the intent beside the actions nearest to it.
 
-        Far is twice their distance, and more than two steps, from the starts from which both succeed.
+        Far is twice their distance, and more than four steps, from the starts from which both succeed.
         """
-        own, theirs = (
-            {index: episode for index, episode in enumerate(episodes) if episode.outcome == SUCCESS}
-            for episodes in (self._measured, self._rolled_out(nearest))
-        )
+        own = _arrived(self._measured)
+        if not own or self._from_intent(own) <= _ANOTHER_WAY * _NEAR_STEPS:
+            return False
+        theirs = _arrived(self._rolled_out(nearest))
         both = own.keys() & theirs.keys()
         if not both:
             return False
         far, near = (self._from_intent({index: found[index] for index in both}) for found in (own, theirs))
-        return far > _ANOTHER_WAY * max(near, 1.0)
+        return far > _ANOTHER_WAY * max(near, _NEAR_STEPS)
 
     def _rolled_out(self, controller: Controller) -> list[Episode]:
         workcell, task = self._workcell, self._workcell.task
@@ -104,6 +104,11 @@ class Checker:
     def _intended(self) -> Array:
         """The intent's roll-outs (T, N, 7) from the starts, until they rest."""
         return self._model.intended_paths(self._starts, self._step_limit, self._workcell.task.step_m)
+
+
+def _arrived(episodes: list[Episode]) -> dict[int, Episode]:
+    """Return the episodes that succeeded, by the numbers of their starts."""
+    return {index: episode for index, episode in enumerate(episodes) if episode.outcome == SUCCESS}
 
 
 @dataclass
