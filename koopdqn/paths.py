@@ -206,14 +206,14 @@ def turned_as_shown(path: Array, trajectories: Sequence[Array]) -> Array:
     as much. So every pose counts at the place nearest to it, and places that have none are interpolated. Near are what
     is near in space and has about as much of the way left, since all end together: a tenth of the way times the
     logarithm of what is left counts as a fourth coordinate. It tells passages of one place, and poses of a turn on the
-    spot, from one another. What begins farther on says nothing of places before.
+    spot, from one another. What begins farther on is taken to have turned evenly until there, from the path's first
+    pose.
     """
     from scipy.spatial import cKDTree
 
     places, length = np.arange(float(len(path))), way_lengths(path)[-1]
     tree = cKDTree(_with_way_left(path, length))
     shown = np.empty((len(trajectories), len(path), 4))
-    passed = np.zeros(shown.shape[:2], dtype=bool)
     for index, rows in enumerate(trajectories):
         fine = to_count(rows, _FINER * len(path), way_lengths(rows))
         nearest = tree.query(_with_way_left(fine, length))[1]
@@ -221,12 +221,12 @@ def turned_as_shown(path: Array, trajectories: Sequence[Array]) -> Array:
         known, place = np.unique(nearest, return_inverse=True)
         sums = np.zeros((len(known), 4))
         np.add.at(sums, place, turns)
-        shown[index] = pose.normalized(at_arc_lengths(pose.normalized(sums), known.astype(float), places))
+        if known[0] > 0:
+            known, sums = np.append(0, known), np.concatenate([path[:1, pose.QUATERNION], sums])
+        shown[index] = at_arc_lengths(pose.normalized(sums), known.astype(float), places)
         # All end together, whatever passes that place before.
         shown[index, -1] = turns[-1]
-        passed[index, known[0] : known[-1] + 1] = True
-    passed[:, ~passed.any(axis=0)] = True
-    turns = _towards(path[:, pose.QUATERNION], shown) * passed[..., None]
+    turns = _towards(path[:, pose.QUATERNION], pose.normalized(shown))
     return pose.make(path[:, pose.POSITION], pose.normalized(turns.sum(axis=0)))
 
 

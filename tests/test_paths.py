@@ -55,14 +55,17 @@ def test_a_path_turns_as_shown_at_its_places_however_far_apart_others_begin(
     assert pose.rotation_distance(turned, wanted).max() < 0.03
 
 
-def test_what_begins_farther_on_says_nothing_of_the_places_before() -> None:
-    early, late = (turned_by_place(np.linspace(x, 0.3, 180), np.zeros(180)) for x in (0.0, 0.12))
-    late[:, 3:] = pose.IDENTITY[3:]
-    turned = turned_as_shown(early, [early, late])
-    before = early[:, 0] < 0.11
-    assert pose.rotation_distance(turned, early)[before].max() < 0.02
-    halved = 0.5 * pose.rotation_distance(early, pose.IDENTITY)
-    assert pose.rotation_distance(turned, early)[-1] == pytest.approx(halved[-1])
+def test_what_begins_farther_on_turns_evenly_from_the_paths_first_pose() -> None:
+    path, late = (turned_by_place(np.linspace(x, 0.3, 180), np.zeros(180)) for x in (0.0, 0.12))
+    turned = turned_as_shown(path, [late, late])
+    angle = pose.rotation_distance(turned, path[0])
+    share = np.clip(path[:, 0] / 0.12, 0.0, 1.0)
+    np.testing.assert_allclose(
+        angle[share < 1], (share * pose.rotation_distance(late[0], path[0]))[share < 1], atol=0.15
+    )
+    # How much of its way is left counts a little too.
+    assert pose.rotation_distance(turned, path)[share == 1].max() < 0.1
+    np.testing.assert_array_equal(turned[0], path[0])
 
 
 def test_passages_of_one_place_keep_their_own_turns() -> None:

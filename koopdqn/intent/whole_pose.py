@@ -78,14 +78,17 @@ class WholePoseSettings(IntentSettings):
     def mean(self, trajectories: list[Array], task: Task) -> Array:
         """Return the mean path (N, 7).
 
-        Where the task itself knows its start region the mean begins in the middle of it, and turns as trajectories do
-        where they pass its places.
+        Where the task itself knows its start region the mean begins in the middle of it, with the nominal start's
+        orientation, and turns as trajectories do where they pass its places.
         """
         mean = mean_poses(trajectories)
         if not self.from_middle or task.demonstrated_middle is None:
             return mean
         moved = _moved_to(task.demonstrated_middle, mean, trajectories)
-        return moved if task.orientation == "held" else turned_as_shown(moved, trajectories)
+        if task.orientation == "held":
+            return moved
+        moved[0, pose.QUATERNION] = task.nominal_start[pose.QUATERNION]
+        return turned_as_shown(moved, trajectories)
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:
         """Return the model fitted to pose trajectories (N, 7)."""
