@@ -28,7 +28,7 @@ from koopdqn.tasks.workcell import Workcell
 
 Make = Callable[..., Trainer]
 SHAPED_BY = {"seed": 0}
-GOES_ANOTHER_WAY = "koopdqn.rl.checks.Checker.goes_another_way"
+CONFIRM = "koopdqn.rl.checks.Checker.confirm"
 
 
 @pytest.fixture
@@ -168,7 +168,7 @@ def test_only_checks_passed_in_a_row_count_and_the_best_policy_is_kept(
         return [Episode(np.zeros((1, 7)), np.zeros((1, 6)), SUCCESS if i < successes else STUCK) for i in range(20)]
 
     monkeypatch.setattr("koopdqn.rl.checks.roll_out", scripted)
-    monkeypatch.setattr(GOES_ANOTHER_WAY, lambda *_: False)
+    monkeypatch.setattr(CONFIRM, lambda *_: (1.0, False))
     trainer = make(
         train={"check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "check_every": 4, "max_steps": 10**6}
     )
@@ -189,7 +189,7 @@ def test_learned_is_when_the_way_stops_coming_nearer_to_the_intents_own(
     found = [(1.0, 9.0), (1.0, 8.5), (1.0, 8.0), (1.0, 7.5), (0.9, 7.0), (1.0, 6.0), (1.0, 5.9), (1.0, 6.4)]
     rest = iter(found)
     monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (*next(rest), {}))
-    monkeypatch.setattr(GOES_ANOTHER_WAY, lambda *_: False)
+    monkeypatch.setattr(CONFIRM, lambda *_: (1.0, False))
     trainer = make(
         train={"gain": 0.1, "check_success": 0.95, "checks_to_learn": 3, "stop": "learned", "max_steps": 10**6}
     )
@@ -204,7 +204,7 @@ def test_a_check_that_is_far_astray_confirms_nothing(make: Make, monkeypatch: py
     found = [(1.0, 2.0), (1.0, 3.1), (1.0, 2.9)]
     rest = iter(found)
     monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (*next(rest), {}))
-    monkeypatch.setattr(GOES_ANOTHER_WAY, lambda *_: False)
+    monkeypatch.setattr(CONFIRM, lambda *_: (1.0, False))
     trainer = make(train={"gain": 0.1, "checks_to_learn": 2, "stop": "learned", "max_steps": 10**6})
     trainer.run()
     # 3.1 is over one and a half times 2.0; 2.9 is not.
@@ -219,10 +219,25 @@ def test_a_path_that_goes_another_way_is_learned_only_if_many_checks_bring_it_no
     rest = iter(distances)
     monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (1.0, next(rest), {}))
     trainer = make(train={"gain": 0.1, "checks_to_learn": 2, "stop": "learned", "max_steps": 10**6})
-    monkeypatch.setattr(GOES_ANOTHER_WAY, lambda *_: trainer.history.checks[-1].intent_distance > 2.0)
+    monkeypatch.setattr(CONFIRM, lambda *_: (1.0, trainer.history.checks[-1].intent_distance > 2.0))
     trainer.run()
     assert trainer.learned
     assert len(trainer.history.checks) == checks
+
+
+def test_what_other_starts_do_not_confirm_was_passed_by_chance(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, rates = iter([3.0, 3.0, 4.0, 4.0, 5.0]), iter([0.85, 0.97])
+    monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (1.0, next(found), {}))
+    monkeypatch.setattr(CONFIRM, lambda *_: (next(rates), False))
+    trainer = make(
+        train={"gain": 0.1, "check_success": 0.95, "checks_to_learn": 2, "stop": "learned", "max_steps": 10**6}
+    )
+    trainer.run()
+    checks = trainer.history.checks
+    assert [check.intent_distance for check in checks] == [3.0, 3.0, 4.0, 4.0]
+    assert trainer.progress.learned_at == checks[-1].env_steps
+    # Though the first was nearer: it reaches the goal from 85 % of the others.
+    assert trainer.progress.best_update == checks[-1].updates
 
 
 def test_the_step_limit_is_a_multiple_of_the_longest_demonstration(make: Make) -> None:

@@ -84,12 +84,26 @@ def checker(workcell: Workcell, reward: IntentReward, parts: Parts) -> Checker:
 def test_a_way_over_the_top_is_another_way(
     checker: Checker, reward: IntentReward, height_m: float, another: bool
 ) -> None:
-    success, *_ = checker.measure(over_the_top(reward.nearest_actions, height_m))
-    assert success > 0.2
-    assert checker.goes_another_way(reward.nearest_actions) is another
+    policy = over_the_top(reward.nearest_actions, height_m)
+    rate, goes_another_way = checker.confirm(policy, reward.nearest_actions)
+    assert rate > 0.2
+    assert goes_another_way is another
 
 
-def test_of_failures_nothing_is_said(checker: Checker, reward: IntentReward) -> None:
-    success, *_ = checker.measure(lambda poses, starts: np.full(len(poses), UP))
-    assert success == 0.0
-    assert not checker.goes_another_way(reward.nearest_actions)
+def test_of_failures_no_way_is_told(checker: Checker, reward: IntentReward) -> None:
+    assert checker.confirm(lambda poses, starts: np.full(len(poses), UP), reward.nearest_actions) == (0.0, False)
+
+
+def test_other_starts_confirm_than_those_of_the_checks(checker: Checker, reward: IntentReward) -> None:
+    seen: list[Array] = []
+
+    def watched(poses: Array, starts: Array) -> np.ndarray:
+        seen.append(starts)
+        return np.full(len(poses), UP)
+
+    checker.measure(watched)
+    of_check = seen[0]
+    seen.clear()
+    checker.confirm(watched, reward.nearest_actions)
+    assert len(seen[0]) == 2 * len(of_check) == 40
+    assert not (seen[0][:, None] == of_check).all(axis=2).any()

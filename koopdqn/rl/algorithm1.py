@@ -266,9 +266,11 @@ class Trainer:
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
         self._losses.clear()
-        nearest = self.feedback.reward.nearest_actions
-        if self.progress.add(check, self.settings, lambda: self._checker.goes_another_way(nearest)):
+        if self.progress.add(check, self.settings):
             self.best = self.learner.policy_arrays()
+        if self.progress.settled(self.settings):
+            rate, another_way = self._checker.confirm(self.best_policy(), self.feedback.reward.nearest_actions)
+            self.progress.confirm(check, self.settings, rate, another_way=another_way)
         return check
 
     def _finished(self) -> bool:

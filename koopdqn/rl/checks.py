@@ -1,6 +1,5 @@
 """How a training goes: checks of the policy on held-out starts, whether the task is learned, and the history."""
 
-from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -24,6 +23,10 @@ _ASTRAY = 1.5
 _ANOTHER_WAY, _NEAR_STEPS = 2.0, 2.0
 # So many times as many checks must say that such a path comes no nearer.
 _PATIENCE = 3
+# So many times as many starts as a check's confirm what is learned.
+_OTHERS = 2
+# Of the checks' random numbers, apart from those of demonstrations (1), training (2) and evaluation (4).
+_STREAM = 3
 
 
 @dataclass(frozen=True)
@@ -50,14 +53,10 @@ class Checker:
 
         Paths are compared with roll-outs of ``model``, the intent as it was fitted.
         """
-        self._workcell = workcell
-        self._model = model
-        self._step_limit = step_limit
+        self._parts = workcell, model, step_limit
+        self._seed, self._count = settings.check_seed, settings.check_starts
         self.path: Array = np.zeros((0, 7))
-        self._measured: list[Episode] = []
-        rng = np.random.default_rng([settings.check_seed, 3])
-        drawn = draw_starts(workcell, workcell.task, rng, settings.check_starts)
-        self._starts, self._joints, self._moved = drawn.starts, drawn.joints, drawn.moved
+        self._held_out = _HeldOut(*self._parts, [self._seed, _STREAM], self._count)
 
     def measure(self, policy: Controller) -> tuple[float, float, dict[str, int]]:
         """Return a policy's success rate, its distance from the intent's roll-outs, and failures by cause.
@@ -65,34 +64,56 @@ class Checker:
         The distance is the mean, over the poses of its paths, of that to the nearest pose of the roll-out from the same
         start, in steps of position or in five rotation tolerances of turn, whichever is larger.
         """
-        episodes = self._measured = self._rolled_out(policy)
+        episodes = self._held_out.rolled_out(policy)
         self.path = episodes[0].poses
         outcomes = [episode.outcome for episode in episodes]
         failures = {name: outcomes.count(name) for name in sorted(set(outcomes) - {SUCCESS})}
-        return outcomes.count(SUCCESS) / len(outcomes), self._from_intent(dict(enumerate(episodes))), failures
+        return outcomes.count(SUCCESS) / len(outcomes), self._held_out.distance(dict(enumerate(episodes))), failures
 
-    def goes_another_way(self, nearest: Controller) -> bool:
-        """Return whether the latest measured policy is far from the intent beside the actions nearest to it.
+    def confirm(self, policy: Controller, nearest: Controller) -> tuple[float, bool]:
+        """Return a policy's success rate from twice as many other starts, and whether it goes another way from these.
 
-        Far is twice their distance, and more than four steps, from the starts from which both succeed.
+        It does where it is more than twice as far from the intent as the actions ``nearest`` to it, and more than four
+        steps, from the starts from which both succeed.
         """
-        own = _arrived(self._measured)
-        if not own or self._from_intent(own) <= _ANOTHER_WAY * _NEAR_STEPS:
-            return False
-        theirs = _arrived(self._rolled_out(nearest))
+        own = _arrived(self._others.rolled_out(policy))
+        rate = len(own) / self._others.count
+        if not own or self._others.distance(own) <= _ANOTHER_WAY * _NEAR_STEPS:
+            return rate, False
+        theirs = _arrived(self._others.rolled_out(nearest))
         both = own.keys() & theirs.keys()
         if not both:
-            return False
-        far, near = (self._from_intent({index: found[index] for index in both}) for found in (own, theirs))
-        return far > _ANOTHER_WAY * max(near, _NEAR_STEPS)
+            return rate, False
+        far, near = (self._others.distance({index: found[index] for index in both}) for found in (own, theirs))
+        return rate, far > _ANOTHER_WAY * max(near, _NEAR_STEPS)
 
-    def _rolled_out(self, controller: Controller) -> list[Episode]:
+    @cached_property
+    def _others(self) -> "_HeldOut":
+        return _HeldOut(*self._parts, [self._seed, _STREAM, 1], _OTHERS * self._count)
+
+
+class _HeldOut:
+    """Held-out starts, and the intent's roll-outs from them.
+
+    Attributes:
+        count: how many.
+    """
+
+    def __init__(self, workcell: Workcell, model: IntentModel, step_limit: int, seed: list[int], count: int) -> None:
+        """Draw ``count`` starts with a seed."""
+        self.count = count
+        self._workcell, self._model, self._step_limit = workcell, model, step_limit
+        drawn = draw_starts(workcell, workcell.task, np.random.default_rng(seed), count)
+        self._starts, self._joints, self._moved = drawn.starts, drawn.joints, drawn.moved
+
+    def rolled_out(self, controller: Controller) -> list[Episode]:
+        """Return the episodes of a controller from the starts."""
         workcell, task = self._workcell, self._workcell.task
         begun = self._starts, self._joints, self._step_limit
         return roll_out(controller, task, workcell.reachability, *begun, cut_circles=True, moved=self._moved)
 
-    def _from_intent(self, episodes: dict[int, Episode]) -> float:
-        """Return the distance of episodes, by their starts' numbers, from the intent's roll-outs from the same."""
+    def distance(self, episodes: dict[int, Episode]) -> float:
+        """Return the distance of episodes, by their starts' numbers, from the roll-outs: that of a check."""
         task, intended = self._workcell.task, self._intended
         unit = np.tile([task.step_m, TURNS_PER_STEP * task.rotation_tolerance_rad], (len(intended), 1))
         each = [
@@ -137,11 +158,8 @@ class Progress:
         """Whether enough checks in a row were passed."""
         return self.learned_at >= 0
 
-    def add(self, check: Check, settings: TrainSettings, goes_another_way: Callable[[], bool] = lambda: False) -> bool:
-        """Add a check; return whether it is the best so far.
-
-        Where its policy ``goes_another_way``, which is asked when the task would be learned, more checks are needed.
-        """
+    def add(self, check: Check, settings: TrainSettings) -> bool:
+        """Add a check; return whether it is the best so far."""
         if check.success_rate < settings.check_success:
             self.passed = 0
         elif self.passed and check.intent_distance > _ASTRAY * self.first_distance:
@@ -151,14 +169,27 @@ class Progress:
             self.passed += 1
         else:
             self.passed, self.first_distance = 1, check.intent_distance
-        needed = settings.checks_to_learn
-        if not self.learned and self.passed >= needed and (self.passed >= _PATIENCE * needed or not goes_another_way()):
-            self.learned_at = check.env_steps
         best = (check.success_rate, -check.intent_distance) >= (self.best_success, -self.best_distance)
         if best:
             self.best_success, self.best_distance = check.success_rate, check.intent_distance
             self.best_update = check.updates
         return best
+
+    def settled(self, settings: TrainSettings) -> bool:
+        """Return whether the best policy, if it is confirmed, is what was to be learned."""
+        return not self.learned and self.passed >= settings.checks_to_learn
+
+    def confirm(self, check: Check, settings: TrainSettings, success_rate: float, *, another_way: bool) -> None:
+        """Take the best policy as learned at a check, or the checks that it passed as passed by chance.
+
+        Given are its success rate from other starts, and whether it goes another way than the intent, which more checks
+        must bring no nearer.
+        """
+        if success_rate < settings.check_success:
+            # What it is known to reach now, so that a later policy can be better.
+            self.passed, self.best_success = 0, success_rate
+        elif not another_way or self.passed >= _PATIENCE * settings.checks_to_learn:
+            self.learned_at = check.env_steps
 
 
 @dataclass

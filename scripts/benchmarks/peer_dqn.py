@@ -84,7 +84,10 @@ class _Checks(BaseCallback):
         if self.n_calls % _CHECK_EVERY == 0:
             measured = self._checker.measure(self._policy)
             check = Check(self.n_calls, self.n_calls, 0, *measured)
-            self.progress.add(check, self._settings, lambda: self._checker.goes_another_way(self._nearest))
+            self.progress.add(check, self._settings)
+            if self.progress.settled(self._settings):
+                rate, another_way = self._checker.confirm(self._policy, self._nearest)
+                self.progress.confirm(check, self._settings, rate, another_way=another_way)
         return not self.progress.learned
 
 
