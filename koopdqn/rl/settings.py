@@ -138,11 +138,11 @@ class TrainSettings(Settings):
     check_every: Count = Field(description="updates between two checks")
     check_starts: int = Field(ge=20, le=10_000, description="held-out starts of a check")
     check_seed: int = Field(ge=0, description="of the checks' starts")
-    check_success: Fraction = Field(description="success rate that passes a check")
+    check_success: Fraction = Field(description="success rate that passes a check, and confirms what is learned")
     checks_to_learn: Count = Field(
         description="passed checks in a row after which the task is learned, if none is nearer to the intent's roll-out"
-        " than the first by more than the share `gain`; three times as many where a policy is twice as far from it as"
-        " the actions nearest to it lead"
+        " than the first by more than the share `gain`, and twice as many other starts confirm it; three times as many"
+        " where the policy is more than twice as far from the intent as the actions nearest to it lead"
     )
     gain: Fraction = Field(description="least relative gain in distance that counts as improvement")
     step_limit_factor: float = Field(
