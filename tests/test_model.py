@@ -8,7 +8,6 @@ from koopdqn.intent.correction import CorrectedIntent
 from koopdqn.intent.fit import Fitted
 from koopdqn.intent.model import IntentModel, IntentSettings
 from koopdqn.intent.separate import SeparateIntent
-from koopdqn.paths import mean_poses
 from koopdqn.pose import Array
 from koopdqn.resources import conf_dir
 from koopdqn.settings import load_settings
@@ -118,12 +117,12 @@ Whole = tuple[Task, IntentSettings, IntentModel, Array]
 
 @pytest.fixture(scope="module")
 def whole() -> Whole:
-    """The knife task, the whole-pose intent's settings, its model in its frame, and the mean demonstration there."""
+    """The knife task, the whole-pose intent's settings, its model in its frame, and the mean path it leads along."""
     task, settings, shown = knife("pose")
     frame = settings.start_frame(shown, task)
     placed = frame.each(shown)
     model = settings.fit(placed, task).within(frame)
-    return task, settings, model, mean_poses(placed, max(len(rows) for rows in placed))
+    return task, settings, model, settings.mean(placed, task)
 
 
 def test_one_model_of_the_whole_pose_predicts_motion_and_turn_of_the_mean_demonstration(whole: Whole) -> None:
