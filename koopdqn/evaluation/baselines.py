@@ -165,10 +165,7 @@ def baseline_episodes(
 
     def best_by_reward(poses: Array, begun: Array) -> np.ndarray:
         evaluation = reward.evaluate_actions(poses, np.zeros(len(poses), dtype=np.int64), begun)
-        best = evaluation.reward.argmax(axis=1)
-        if not reward.continuous:
-            return np.asarray(best)
-        return twists_between(poses, evaluation.reached[np.arange(len(poses)), best], task)
+        return reward.taken(evaluation, evaluation.reward)
 
     def floor(poses: Array, begun: Array) -> np.ndarray:
         return _nearest(poses, demonstrator_next_poses(task, poses, begun), task, reward.continuous)

@@ -210,10 +210,14 @@ class IntentReward:
         They are indices (N,), or twists (N, 3 or 6) where actions are continuous.
         """
         evaluation = self.evaluated(poses, np.zeros(len(poses), dtype=np.int64), starts)
-        best = evaluation.margin.argmax(axis=1)
+        return self.taken(evaluation, evaluation.margin)
+
+    def taken(self, evaluation: ActionEvaluation, ranking: Array) -> np.ndarray:
+        """Return of every pose the action of the highest rank (N, A), as a controller returns actions."""
+        best = ranking.argmax(axis=1)
         if not self.continuous:
             return np.asarray(best)
-        return twists_between(poses, evaluation.reached[np.arange(len(poses)), best], self.task)
+        return twists_between(evaluation.poses, evaluation.reached[np.arange(len(best)), best], self.task)
 
     def _reached(self, poses: Array, predicted: Array, twists: Array | None) -> Array:
         """Return the poses (N, A, 7) that all actions reach from poses (N, 7), given the prediction (N, 7)."""
