@@ -146,16 +146,18 @@ def test_a_closed_terminal_ends_with_status_130_and_under_nohup_not_at_all(tmp_p
         "from koopdqn.app import cli\n"
         "def work(*arguments, **options):\n"
         "    print('ready', flush=True)\n"
-        "    time.sleep(float(sys.argv[1]))\n"
+        # A signal that comes just before a sleep begins is handled when the sleep ends.
+        "    for _ in range(int(sys.argv[1])):\n"
+        "        time.sleep(0.1)\n"
         "    return 0\n"
         "cli._compose_and_run = work\n"
         "sys.exit(cli.main(['demo']))\n"
     )
     path = str(Path(console.__file__).resolve().parent.parent)
-    for ignored, seconds, status in ((False, "60", 130), (True, "3", 0)):
+    for ignored, tenths, status in ((False, "600", 130), (True, "30", 0)):
         master, slave = pty.openpty()
         process = subprocess.Popen(
-            [sys.executable, "-c", code, seconds],
+            [sys.executable, "-c", code, tenths],
             stdin=slave,
             stdout=slave,
             stderr=slave,
