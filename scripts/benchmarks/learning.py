@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from koopdqn.threads import in_halves
 # Seconds that learning itself, and the whole process, may take.
 _BARS = {"shelf": (6.0, 12.0), "knife": (9.0, 16.0)}
 _LEAST_RATIO = 8.0
+_SEEDS = range(5)
 
 
 @dataclass(frozen=True)
@@ -56,11 +58,50 @@ class Prepared:
         agent, settings, seed = config.agent, config.train, config.inputs.seed
         return Trainer(self.workcell, self.reward, trajectories, oracle, agent, settings, seed, config.feedback)
 
-    def deviation(self, policy: Controller, step_limit: int) -> tuple[float, float]:
-        """Return a policy's deviation [mm] from the demonstrator on held-out starts, and the share that succeed."""
+    def measured(self, learn: Callable[["Prepared", int], "Learned"]) -> "Measured":
+        """Let somebody learn with a step limit for every episode, and measure the policy on held-out starts."""
+        limit = self.trainer().step_limit
+        found = learn(self, limit)
         alone = self.config.eval.model_copy(update={"baselines": False, "dynamics": False})
-        report = evaluate(self.workcell, policy, self.reward, self.shown, alone, step_limit).report
-        return float(report["path_deviation_mm"]["mean"]), float(report["success_rate"])
+        report = evaluate(self.workcell, found.policy, self.reward, self.shown, alone, limit).report
+        deviation, success = float(report["path_deviation_mm"]["mean"]), float(report["success_rate"])
+        return Measured(found.learned, found.seconds, found.steps, deviation, success)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What came of learning.
+
+    Attributes:
+        policy: chooses actions as :data:`koopdqn.tasks.rollout.Controller` says.
+        learned: whether the checks say that the task is learned.
+        seconds: how long it took.
+        steps: actions tried.
+    """
+
+    policy: Controller
+    learned: bool
+    seconds: float
+    steps: int
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A learning and its policy.
+
+    Attributes:
+        learned: whether the checks say that the task is learned.
+        seconds: how long it took.
+        steps: actions tried.
+        deviation_mm: of the policy's paths from the demonstrator's.
+        success_rate: share of the held-out starts from which it succeeds.
+    """
+
+    learned: bool
+    seconds: float
+    steps: int
+    deviation_mm: float
+    success_rate: float
 
 
 def prepare(*overrides: str) -> Prepared:
@@ -128,7 +169,11 @@ def products(learner: Learner, batch: Batch) -> Callable[[], None]:
 
 
 def learning_rows(task: str, folder: Path, *, long: bool) -> list[Row]:
-    """Return the rows of learning a task: its time and deviation beside a peer's, and that of the whole process."""
+    """Return the rows of learning a task: its time and deviation beside a peer's, and that of the whole process.
+
+    All are medians over :data:`_SEEDS`, with demonstrations of their own. With a peer that does not learn with one of
+    them the others are left out: what that takes says nothing more.
+    """
     itself, whole = _BARS[task]
     peer = "Stable-Baselines3 DQN"
     names = f"{task}: learning itself", f"{task}: deviation of the path", f"{task}: `koopdqn train`, all of it"
@@ -138,28 +183,68 @@ def learning_rows(task: str, folder: Path, *, long: bool) -> list[Row]:
             Row(names[1], None, "mm", peer, NOT_MEASURED, None, 1.0),
             Row(names[2], None, "s", "learning itself", NOT_MEASURED, whole),
         ]
-    prepared = prepare(f"task={task}")
+    ours: list[Measured] = []
+    theirs: list[Measured] = []
+    processes = []
+    for seed in _SEEDS:
+        prepared = prepare(f"task={task}", f"seed={seed}")
+        ours.append(prepared.measured(_own))
+        # In turn with ours, so that a busy machine slows both alike.
+        if installed("stable_baselines3") and installed("gymnasium") and all(each.learned for each in theirs):
+            from benchmarks.peer_dqn import learn
+
+            theirs.append(prepared.measured(learn))
+        made = folder / f"{task}-{seed}"
+        processes.append(_process_seconds(["train", f"task={task}", f"seed={seed}", f"out={made}"]))
+    seconds, deviation = (median(getattr(each, name) for each in ours) for name in ("seconds", "deviation_mm"))
+    their_seconds: float | str = NOT_INSTALLED
+    their_deviation: float | str = NOT_INSTALLED
+    if theirs:
+        their_deviation = median(each.deviation_mm for each in theirs)
+        failed = [each.seconds for each in theirs if not each.learned]
+        their_seconds = f"not learned in {failed[0]:.0f} s" if failed else median(each.seconds for each in theirs)
+    return [
+        Row(names[0], seconds, "s", peer, their_seconds, itself, _LEAST_RATIO, _told(ours, theirs)),
+        Row(names[1], deviation, "mm", peer, their_deviation, None, 1.0, "mean, points matched by arc length"),
+        Row(
+            names[2],
+            median(processes),
+            "s",
+            "learning itself",
+            seconds,
+            whole,
+            note=f"{_range(processes)} s; start-up, demonstrations and fit too",
+        ),
+    ]
+
+
+def _own(prepared: Prepared, step_limit: int) -> Learned:
     began = time.perf_counter()
     trainer = prepared.trainer()
     trainer.run()
     seconds = time.perf_counter() - began
-    deviation, success = prepared.deviation(trainer.policy, trainer.step_limit)
-    note = f"{'learned' if trainer.learned else 'NOT learned'}, {success:.0%} of held-out starts"
-    their_seconds: float | str = NOT_INSTALLED
-    their_deviation: float | str = NOT_INSTALLED
-    if installed("stable_baselines3") and installed("gymnasium"):
-        from benchmarks.peer_dqn import learn
+    assert trainer.step_limit == step_limit
+    return Learned(trainer.best_policy(), trainer.learned, seconds, trainer.env_steps)
 
-        found = learn(prepared, trainer.step_limit)
-        their_deviation, their_success = prepared.deviation(found.policy, trainer.step_limit)
-        their_seconds = found.seconds if found.learned else f"not learned in {found.seconds:.0f} s"
-        note += f"; theirs {their_success:.0%} after {found.steps:,} actions"
-    process = _process_seconds(["train", f"task={task}", f"out={folder / task}"])
-    return [
-        Row(names[0], seconds, "s", peer, their_seconds, itself, _LEAST_RATIO, note),
-        Row(names[1], deviation, "mm", peer, their_deviation, None, 1.0, "mean, points matched by arc length"),
-        Row(names[2], process, "s", "learning itself", seconds, whole, note="start-up, demonstrations and fit too"),
+
+def _told(ours: Sequence[Measured], theirs: Sequence[Measured]) -> str:
+    """Return what the row of learning tells beside the medians."""
+    learned = sum(each.learned for each in ours)
+    parts = [
+        f"{learned} of {len(ours)} learned, in {_range([each.seconds for each in ours])} s;"
+        f" {min(each.success_rate for each in ours):.0%} of held-out starts at least"
     ]
+    if theirs:
+        parts.append(
+            f"theirs {sum(each.learned for each in theirs)} of {len(theirs)},"
+            f" {min(each.success_rate for each in theirs):.0%} at least,"
+            f" after {median(each.steps for each in theirs):,.0f} actions"
+        )
+    return "; ".join(parts)
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{min(values):.1f} to {max(values):.1f}"
 
 
 def _process_seconds(arguments: Sequence[str]) -> float:

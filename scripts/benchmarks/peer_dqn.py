@@ -1,8 +1,6 @@
 """Stable-Baselines3's DQN on our environment: same reward, same check, same network width, one thread."""
 
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import gymnasium
 import numpy as np
@@ -11,6 +9,7 @@ from gymnasium.wrappers import TransformObservation
 from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback
 
+from benchmarks.learning import Learned, Prepared
 from koopdqn.envs.batch import EnvironmentParts
 from koopdqn.envs.gym import KoopmanEnv, Observations
 from koopdqn.oracles.scripted import ScriptedOracle
@@ -18,33 +17,13 @@ from koopdqn.pose import Array
 from koopdqn.rl.checks import Check, Checker, Progress
 from koopdqn.rl.network import observe
 
-if TYPE_CHECKING:
-    from benchmarks.learning import Prepared
-
 # Actions between two checks, and the most that are tried.
 _CHECK_EVERY = 1000
 _MOST = 100_000
 
 
-@dataclass(frozen=True)
-class Learned:
-    """What came of learning.
-
-    Attributes:
-        policy: chooses actions as :data:`koopdqn.tasks.rollout.Controller` says.
-        learned: whether the checks say that the task is learned.
-        seconds: how long it took.
-        steps: actions tried.
-    """
-
-    policy: "PeerPolicy"
-    learned: bool
-    seconds: float
-    steps: int
-
-
 def environment(
-    prepared: "Prepared", step_limit: int, mean: Array, spread: Array
+    prepared: Prepared, step_limit: int, mean: Array, spread: Array
 ) -> gymnasium.Env[Observations, np.int64]:
     """Return our environment, its observations normalised as our network does."""
     config = prepared.config
@@ -58,7 +37,7 @@ def environment(
 class PeerPolicy:
     """The argmax of the peer's network."""
 
-    def __init__(self, model: DQN, prepared: "Prepared", mean: Array, spread: Array) -> None:
+    def __init__(self, model: DQN, prepared: Prepared, mean: Array, spread: Array) -> None:
         """Take the network as it is; it goes on changing while the model learns."""
         self._model, self._task = model, prepared.config.task
         self._frame, self._mean, self._spread = prepared.reward.model.start_frame, mean, spread
@@ -73,7 +52,7 @@ class PeerPolicy:
 class _Checks(BaseCallback):
     """Checks as our trainer does, and stops when they say that the task is learned."""
 
-    def __init__(self, prepared: "Prepared", policy: PeerPolicy, step_limit: int) -> None:
+    def __init__(self, prepared: Prepared, policy: PeerPolicy, step_limit: int) -> None:
         super().__init__()
         self._settings, self._policy = prepared.config.train, policy
         self._nearest = prepared.reward.nearest_actions
@@ -91,7 +70,7 @@ class _Checks(BaseCallback):
         return not self.progress.learned
 
 
-def learn(prepared: "Prepared", step_limit: int) -> Learned:
+def learn(prepared: Prepared, step_limit: int) -> Learned:
     """Learn a task by Stable-Baselines3's DQN with its own defaults but for what must be the same."""
     torch.set_num_threads(1)
     agent = prepared.config.agent
@@ -109,7 +88,7 @@ def learn(prepared: "Prepared", step_limit: int) -> Learned:
         target_update_interval=500,
         exploration_fraction=0.1,
         policy_kwargs={"net_arch": list(agent.network.hidden)},
-        seed=0,
+        seed=prepared.config.inputs.seed,
         device="cpu",
     )
     policy = PeerPolicy(model, prepared, mean, spread)
