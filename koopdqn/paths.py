@@ -195,7 +195,7 @@ def mean_poses(trajectories: Sequence[Array], count: int | None = None) -> Array
     """
     count = max(len(rows) for rows in trajectories) if count is None else count
     aligned = np.array([to_count(rows, count, way_lengths(rows)) for rows in trajectories])
-    turns = _towards(aligned[0, :, pose.QUATERNION], aligned[..., pose.QUATERNION])
+    turns = pose.signed_as(aligned[..., pose.QUATERNION], aligned[0, :, pose.QUATERNION])
     return pose.make(aligned[..., pose.POSITION].mean(axis=0), pose.normalized(turns.mean(axis=0)))
 
 
@@ -217,7 +217,7 @@ def turned_as_shown(path: Array, trajectories: Sequence[Array]) -> Array:
     for index, rows in enumerate(trajectories):
         fine = to_count(rows, _FINER * len(path), way_lengths(rows))
         nearest = tree.query(_with_way_left(fine, length))[1]
-        turns = _towards(path[nearest, pose.QUATERNION], fine[:, pose.QUATERNION])
+        turns = pose.signed_as(fine[:, pose.QUATERNION], path[nearest, pose.QUATERNION])
         known, place = np.unique(nearest, return_inverse=True)
         sums = np.zeros((len(known), 4))
         np.add.at(sums, place, turns)
@@ -226,7 +226,7 @@ def turned_as_shown(path: Array, trajectories: Sequence[Array]) -> Array:
         shown[index] = at_arc_lengths(pose.normalized(sums), known.astype(float), places)
         # All end together, whatever passes that place before.
         shown[index, -1] = turns[-1]
-    turns = _towards(path[:, pose.QUATERNION], pose.normalized(shown))
+    turns = pose.signed_as(pose.normalized(shown), path[:, pose.QUATERNION])
     return pose.make(path[:, pose.POSITION], pose.normalized(turns.sum(axis=0)))
 
 
@@ -234,11 +234,6 @@ def _with_way_left(poses: Array, length: float) -> Array:
     """Return the positions of poses (N, 7) evenly along a way [m], and what is left of it as a coordinate (N, 4)."""
     left = np.linspace(1.0, 0.0, len(poses))
     return np.column_stack([poses[:, pose.POSITION], _WAY_COUNTS * length * np.log(left + _LEAST_LEFT)])
-
-
-def _towards(near: Array, quaternions: Array) -> Array:
-    """Return quaternions (..., 4) with the sign, of the two of each rotation, that is nearer to ``near`` (..., 4)."""
-    return quaternions * np.where((quaternions * near).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
 
 
 def to_count(poses: Array, count: int, arc: Array | None = None) -> Array:

@@ -90,6 +90,11 @@ def canonical(quaternion: ArrayLike) -> Array:
     return np.asarray(np.where(quaternion[..., :1] < 0, -quaternion, quaternion), dtype=float)
 
 
+def signed_as(quaternion: Array, near: Array) -> Array:
+    """Return, of the two quaternions (..., 4) of each rotation, the one nearer to ``near`` (..., 4)."""
+    return quaternion * np.where((quaternion * near).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+
+
 def conjugate(quaternion: ArrayLike) -> Array:
     """Return the inverse of unit quaternions (..., 4)."""
     return np.asarray(np.multiply(quaternion, _CONJUGATE), dtype=float)

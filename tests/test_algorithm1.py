@@ -212,6 +212,40 @@ def test_a_check_that_is_far_astray_confirms_nothing(make: Make, monkeypatch: py
     assert trainer.progress.best_update == trainer.history.checks[0].updates
 
 
+def test_a_check_that_is_far_astray_is_neither_kept_nor_taken_as_learned(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though more starts succeed, and though as many checks as are needed were passed before it."""
+    rest = iter([(0.95, 10.0), (0.95, 10.0), (1.0, 30.0), *[(0.95, 9.9)] * 9])
+    monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (*next(rest), {}))
+    trainer = make(
+        train={"gain": 0.1, "check_success": 0.95, "checks_to_learn": 2, "stop": "learned", "max_steps": 10**6}
+    )
+    confirmed: list[float] = []
+
+    def confirm(*_: object) -> tuple[float, bool]:
+        confirmed.append(trainer.history.checks[-1].intent_distance)
+        return 1.0, len(confirmed) == 1
+
+    monkeypatch.setattr(CONFIRM, confirm)
+    trainer.run()
+    assert confirmed == [10.0, 9.9]
+    assert trainer.progress.best_update == trainer.history.checks[-1].updates
+
+
+def test_past_learned_only_what_is_confirmed_is_kept(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    rest = iter([9.0, 9.0, 5.0, 4.0, 3.0])
+    confirmed = {9.0: (1.0, False), 5.0: (0.5, False), 4.0: (1.0, False), 3.0: (1.0, True)}
+    monkeypatch.setattr("koopdqn.rl.checks.Checker.measure", lambda *_: (1.0, next(rest, 8.0), {}))
+    trainer = make(train={"gain": 0.1, "checks_to_learn": 2, "stop": "limit", "extend": None, "max_steps": 900})
+    monkeypatch.setattr(CONFIRM, lambda *_: confirmed[trainer.history.checks[-1].intent_distance])
+    trainer.run()
+    checks = trainer.history.checks
+    assert trainer.progress.learned_at == checks[1].env_steps
+    assert [check.intent_distance for check in checks][:5] == [9.0, 9.0, 5.0, 4.0, 3.0]
+    assert trainer.progress.best_update == checks[3].updates
+
+
 @pytest.mark.parametrize(("distances", "checks"), [([9.0] * 9, 6), ([9.0] * 3 + [2.0] * 3, 5)])
 def test_a_path_that_goes_another_way_is_learned_only_if_many_checks_bring_it_no_nearer(
     make: Make, monkeypatch: pytest.MonkeyPatch, distances: list[float], checks: int

@@ -175,6 +175,14 @@ def test_a_clock_in_milliseconds_is_asked_for_and_one_since_1970_is_seen(tmp_pat
     np.testing.assert_allclose(item.times, [0.0, 0.02, 0.04])
 
 
+@pytest.mark.parametrize(("first", "step"), [(2_000_000_000, 20_000), (1_500_000_000, 20_000_000)])
+def test_a_count_since_the_machine_began_is_no_time_since_1970(tmp_path: Path, first: int, step: int) -> None:
+    """Microseconds and nanoseconds of the size of seconds since 1970."""
+    ticks = [f"{first + step * index},{row[4:]}" for index, row in enumerate(ROWS)]
+    with pytest.raises(BadInputError, match=r"import.clock: .* from row to row are too long"):
+        read_csv(written(tmp_path, "\n".join([HEAD, *ticks])))
+
+
 def test_a_tool_offset_and_joints_count_whatever_the_clock_is_called(tmp_path: Path) -> None:
     offset = ",".join(f"tcp_offset_{index}" for index in range(6))
     for clock in ("t", "time"):

@@ -124,3 +124,25 @@ def test_a_turn_on_the_spot_is_kept(at_goal: bool) -> None:
         shown.append(np.concatenate([begun, spot, ended[-1:]] if at_goal else [begun[:1], spot, ended]))
     rolled = settings.fit(shown, task).roll_out(task.nominal_start[None], 2 * STEPS, task.step_m)[-1]
     assert np.degrees(pose.rotation_distance(rolled, task.goal))[0] < 1.0
+
+
+@pytest.mark.parametrize("negated", [[0], [1], [0, 2], [0, 1, 2, 3, 4]])
+def test_the_sign_of_a_quaternion_says_nothing(negated: list[int]) -> None:
+    """Both quaternions of a rotation are one orientation, for the mean and for the intent's own roll-outs."""
+    parts = load_config("task=knife")
+    task, settings = parts.task, parts.intent
+    assert isinstance(settings, WholePoseSettings)
+    shown = [
+        task.demonstrator.roll_out(pose.make(task.nominal_start[:3] + offset, task.nominal_start[3:]), STEPS)
+        for offset in 0.01 * np.random.default_rng(0).normal(size=(5, 3))
+    ]
+    other = [np.array(rows) for rows in shown]
+    for index in negated:
+        other[index][:, pose.QUATERNION] *= -1.0
+    mean, same = settings.mean(shown, task), settings.mean(other, task)
+    np.testing.assert_allclose(same[:, pose.POSITION], mean[:, pose.POSITION], atol=1e-12)
+    assert pose.rotation_distance(same, mean).max() < 1e-6
+    assert ((same[1:, pose.QUATERNION] * same[:-1, pose.QUATERNION]).sum(axis=1) > 0).all()
+    starts = np.array([rows[0] for rows in other])
+    paths = settings.fit(other, task).intended_paths(starts, 400, task.step_m)
+    assert ((paths[1:, :, pose.QUATERNION] * paths[:-1, :, pose.QUATERNION]).sum(axis=-1) > 0).all()

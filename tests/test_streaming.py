@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.hdf5 import write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
 from koopdqn.programs.schema import StreamFile
-from koopdqn.programs.streaming import Streamed, read_state, stream
+from koopdqn.programs.streaming import _ASKED, Streamed, _watched, read_state, stream
 from koopdqn.programs.timing import Motion
 from koopdqn.robot.ur import URArm
 
@@ -204,3 +205,12 @@ def test_a_record_never_moves_an_arm(tmp_path: Path) -> None:
     record.write_text("- command=train\n- stream.move=true\n- stream.host=10.0.0.1\n", encoding="utf-8")
     given = prepare("stream", [f"run={tmp_path}"]).overrides
     assert not [each for each in given if each.startswith("stream.")]
+
+
+def test_whoever_died_between_a_question_and_its_answer_is_a_connection_lost() -> None:
+    ours, theirs = Pipe()
+    theirs.send((_ASKED, Streamed(5, "", 0.0, 0.0)))
+    theirs.close()
+    made = _watched(ours, HOST, lambda: False)
+    assert made.sent == 5
+    assert made.stopped.startswith("the connection lost")

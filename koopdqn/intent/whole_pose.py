@@ -87,7 +87,7 @@ class WholePoseSettings(IntentSettings):
         moved = _moved_to(task.demonstrated_middle, mean, trajectories)
         if task.orientation == "held":
             return moved
-        moved[0, pose.QUATERNION] = task.nominal_start[pose.QUATERNION]
+        moved[0, pose.QUATERNION] = pose.signed_as(task.nominal_start[pose.QUATERNION], moved[0, pose.QUATERNION])
         return turned_as_shown(moved, trajectories)
 
     def fit(self, trajectories: list[Array], task: Task) -> IntentModel:

@@ -115,17 +115,16 @@ def _watched(link: Connection, host: str, stop: Callable[[], bool]) -> Streamed:
             f"a UR's controller must answer at {host} within {_CONNECTING_S:g} s, found none that does"
         )
     made = Streamed(0, "", 0.0, 0.0)
-    while link.poll(SILENT_S):
-        try:
+    # Where it died there is nobody to hear or to tell.
+    with contextlib.suppress(EOFError, ConnectionError):
+        while link.poll(SILENT_S):
             said, told = link.recv()
-        except EOFError:
-            break
-        if said == _FAILED:
-            raise told
-        made = cast(Streamed, told)
-        if said == _ENDED:
-            return made
-        link.send(stop())
+            if said == _FAILED:
+                raise told
+            made = cast(Streamed, told)
+            if said == _ENDED:
+                return made
+            link.send(stop())
     return replace(made, stopped=f"the connection lost: nothing came of a sample within {SILENT_S:g} s")
 
 

@@ -266,12 +266,23 @@ class Trainer:
         self.history.checks.append(check)
         self.history.losses.append(float(np.mean(self._losses)))
         self._losses.clear()
-        if self.progress.add(check, self.settings):
+        if self.progress.astray(check, self.settings):
+            return check
+        best = self.progress.better(check)
+        if best and self.learned:
+            # What is learned gives way only to what is confirmed, too.
+            rate, another_way = self._confirmed(self.policy)
+            best = rate >= self.settings.check_success and not another_way
+        self.progress.add(check, self.settings, best=best)
+        if best:
             self.best = self.learner.policy_arrays()
         if self.progress.settled(self.settings):
-            rate, another_way = self._checker.confirm(self.best_policy(), self.feedback.reward.nearest_actions)
+            rate, another_way = self._confirmed(self.best_policy())
             self.progress.confirm(check, self.settings, rate, another_way=another_way)
         return check
+
+    def _confirmed(self, policy: Policy) -> tuple[float, bool]:
+        return self._checker.confirm(policy, self.feedback.reward.nearest_actions)
 
     def _finished(self) -> bool:
         if self.env_steps >= self.settings.max_steps or len(self.history.rewards) >= self.settings.max_episodes:

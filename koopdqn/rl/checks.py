@@ -141,7 +141,8 @@ class Progress:
         passed: checks passed in a row, none nearer to the intent than the first by the gain; one that is far astray is
             not counted.
         first_distance: distance of the first of these from the intent.
-        best_success: success rate of the best check; −1 before the first.
+        best_success: success rate of the best check, or of its policy from other starts if it failed from these; −1
+            before the first.
         best_distance: its distance from the intent.
         best_update: updates made before it.
     """
@@ -158,22 +159,26 @@ class Progress:
         """Whether enough checks in a row were passed."""
         return self.learned_at >= 0
 
-    def add(self, check: Check, settings: TrainSettings) -> bool:
-        """Add a check; return whether it is the best so far."""
+    def astray(self, check: Check, settings: TrainSettings) -> bool:
+        """Return whether a check passed so far off that it says nothing; the next one may."""
+        passed = self.passed and check.success_rate >= settings.check_success
+        return bool(passed and check.intent_distance > _ASTRAY * self.first_distance)
+
+    def better(self, check: Check) -> bool:
+        """Return whether a check is better than the best so far."""
+        return (check.success_rate, -check.intent_distance) >= (self.best_success, -self.best_distance)
+
+    def add(self, check: Check, settings: TrainSettings, *, best: bool) -> None:
+        """Add a check that is not astray, and take it as the best or not."""
         if check.success_rate < settings.check_success:
             self.passed = 0
-        elif self.passed and check.intent_distance > _ASTRAY * self.first_distance:
-            # It confirms nothing; the next one may.
-            pass
         elif self.passed and check.intent_distance >= (1.0 - settings.gain) * self.first_distance:
             self.passed += 1
         else:
             self.passed, self.first_distance = 1, check.intent_distance
-        best = (check.success_rate, -check.intent_distance) >= (self.best_success, -self.best_distance)
         if best:
             self.best_success, self.best_distance = check.success_rate, check.intent_distance
             self.best_update = check.updates
-        return best
 
     def settled(self, settings: TrainSettings) -> bool:
         """Return whether the best policy, if it is confirmed, is what was to be learned."""

@@ -83,7 +83,8 @@ class TrainReport(ReportModel):
     steps_per_episode: list[NonNegativeInt] = Field(description="(E,) steps kept")
     exploring_episode: list[bool] = Field(description="(E,) whether it was a short exploring one")
     best_success_rate: Fraction = Field(
-        description="success rate of the best check, of equal ones the nearest to the intent; 0 before the first"
+        description="success rate of the best check, of equal ones the nearest to the intent, or of its policy from"
+        " other starts if these did not confirm it; 0 before the first"
     )
     best_update: NonNegativeInt = Field(description="updates before that check, whose network is the policy")
     step_limit: Count = Field(description="step limit of an episode")

@@ -43,7 +43,9 @@ def one_step(poses: Array, wished: Array, goal: Array, room: Array, step: float,
     angle = np.where(whole, np.minimum(angle, _ON_THE_WAY * turn) * size, angle)
     moved = np.minimum(length / size, room)
     position = poses[:, pose.POSITION] + moved[:, None] * direction
-    return pose.make(position, pose.turned_toward(quaternion, toward, np.minimum(angle / size, left)))
+    turned = pose.turned_toward(quaternion, toward, np.minimum(angle / size, left))
+    # Of q and −q the nearer, or paths made of such steps could not be interpolated.
+    return pose.make(position, pose.signed_as(turned, quaternion))
 
 
 def full_step(poses: Array, wished: Array, room: Array, step: float, turn: float) -> Array:
@@ -59,8 +61,7 @@ def full_step(poses: Array, wished: Array, room: Array, step: float, turn: float
     share = 1.0 / np.maximum(left / (TURNS_PER_STEP / IN_PLACE * turn), 1.0)
     moved = share * np.minimum(step, room)
     turned = pose.turned_toward(quaternion, wished[:, pose.QUATERNION], share * left)
-    # Of q and −q the nearer, or paths made of such steps could not be interpolated.
-    turned = turned * np.where((turned * quaternion).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    turned = pose.signed_as(turned, quaternion)
     return pose.make(poses[:, pose.POSITION] + moved[:, None] * direction, turned)
 
 

@@ -63,7 +63,9 @@ class _Checks(BaseCallback):
         if self.n_calls % _CHECK_EVERY == 0:
             measured = self._checker.measure(self._policy)
             check = Check(self.n_calls, self.n_calls, 0, *measured)
-            self.progress.add(check, self._settings)
+            if self.progress.astray(check, self._settings):
+                return True
+            self.progress.add(check, self._settings, best=self.progress.better(check))
             if self.progress.settled(self._settings):
                 rate, another_way = self._checker.confirm(self._policy, self._nearest)
                 self.progress.confirm(check, self._settings, rate, another_way=another_way)

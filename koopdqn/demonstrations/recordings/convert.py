@@ -331,13 +331,14 @@ def _growing(times: Array) -> np.ndarray:
 def _seconds(recording: Recording, declared: ImportSettings, reasons: list[str]) -> Array:
     ticks, clock = recording.times, declared.clock or recording.clock
     assert ticks is not None
-    epoch = next((unit for unit in SECONDS if _is_epoch(ticks, unit)), None)
+    steps = np.diff(ticks)
+    tick = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    # A count of microseconds since a machine began can have the size of seconds since 1970, but not their steps.
+    epoch = next((unit for unit in SECONDS if _is_epoch(ticks, unit) and tick * SECONDS[unit] <= _LONGEST_TICK_S), None)
     if clock is None and epoch is not None:
         clock = epoch
         reasons.append(f"time in {clock} since 1970, as its size shows")
     if clock is None:
-        steps = np.diff(ticks)
-        tick = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         if tick > _LONGEST_TICK_S or (tick == _LONGEST_TICK_S and np.ptp(ticks) > _LONGEST_WHOLE_S):
             whole = f" for {np.ptp(ticks):g} s" if tick == _LONGEST_TICK_S else ""
             rule = f"s, ms, us or ns, as {tick:g} s from row to row{whole} are too long to be taken for seconds"
