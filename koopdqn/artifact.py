@@ -205,6 +205,8 @@ def check_task(what: str, found: Any, task: Settings) -> None:
     if found == wanted:
         return
     known = found if isinstance(found, dict) else {}
+    if known.get("name", wanted["name"]) != wanted["name"]:
+        raise BadInputError(f"{what} must be of task {wanted['name']}, found task {known['name']}")
     differing = sorted(key for key in wanted.keys() | known.keys() if known.get(key) != wanted.get(key))
     raise BadInputError(
         f"{what} must be of task {wanted['name']} with the present settings, found task {known.get('name', found)}"

@@ -8,8 +8,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
+from rich.measure import Measurement
+from rich.segment import Segment, Segments
 from rich.text import Text
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ _UNSEEN: Final = ("Cc", "Cf", "Cs", "Zl", "Zp")
 _JOINERS: Final = "\u200c\u200d"
 # What stands for signs of tables where the output is not UTF-8.
 _PLAIN: Final = str.maketrans({"–": "-", "−": "-", "…": "...", "°": "deg"})
+# Wider than any table [columns].
+_WIDEST: Final = 1000
 
 
 def visible(text: str) -> str:
@@ -76,11 +80,16 @@ def err() -> Console:
 
 
 def say(line: RenderableType) -> None:
-    """Print one line of a result; a text is taken literally and never wrapped."""
+    """Print one line of a result; a text is taken literally and never wrapped, and no word or number of a table cut."""
+    console = out()
     if isinstance(line, str):
-        out().print(_literal(line), soft_wrap=True)
-    else:
-        out().print(line)
+        console.print(_literal(line), soft_wrap=True)
+        return
+    least = Measurement.get(console, console.options.update(width=_WIDEST), line).minimum
+    if least > console.width:
+        # The terminal goes on in its next line.
+        line = Segments(console.render(line, console.options.update(width=least)))
+    console.print(line, crop=False)
 
 
 def note(message: str) -> None:
@@ -155,14 +164,24 @@ def stage(description: str, total: float | None = None, *, bar: bool = True) -> 
 
 
 def table(
-    headings: Sequence[str], rows: Iterable[Sequence[RenderableType]], left: Sequence[str], **look: Any
+    headings: Sequence[str],
+    rows: Iterable[Sequence[RenderableType]],
+    left: Sequence[str],
+    *,
+    whole: bool = False,
+    **look: Any,
 ) -> "Table":
-    """Return a table, columns aligned to the right but for those headed as in ``left``; ``look`` is Rich's own."""
+    """Return a table, columns aligned to the right but for those headed as in ``left``; ``look`` is Rich's own.
+
+    With ``whole`` the cells, texts, stand in a line each but for those of the last column.
+    """
     from rich.table import Table
 
-    made = Table(**look)
-    for heading in headings:
-        made.add_column(heading, justify="left" if heading in left else "right")
+    made, rows = Table(**look), list(rows)
+    for index, heading in enumerate(headings):
+        kept = whole and index < len(headings) - 1
+        least = max(cell_len(str(row[index])) for row in (headings, *rows)) if kept else None
+        made.add_column(heading, justify="left" if heading in left else "right", no_wrap=kept, min_width=least)
     for row in rows:
         made.add_row(*row)
     return made

@@ -198,7 +198,10 @@ def _usage(error: Any, message: str) -> str:
     if hasattr(error, "option_name") and "o such option" in message:
         names = {name for parameter in context.command.params for name in parameter.opts if name.startswith("--")}
         valid = ", ".join(sorted(names | {"--help"}))
-        return f"unknown option {error.option_name} of {context.command_path}; valid: {valid}"
+        return (
+            f"unknown option {error.option_name} of {context.command_path}; valid: {valid}; settings are given without"
+            " dashes, as seed=3"
+        )
     if "No such command" in message:
         return f"{message.rstrip('.')}; valid: {', '.join(sorted(context.command.commands))}"
     return message

@@ -73,6 +73,8 @@ def journal_path(given: Path) -> Path:
     Raises:
         BadInputError: there is none, or it is reached by a link within the folder.
     """
+    # Other commands are given runs so.
+    given = Path(str(given).removeprefix("run="))
     if given.is_dir():
         check_plain(given)
     path = given / JOURNAL if given.is_dir() else given

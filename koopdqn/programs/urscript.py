@@ -22,6 +22,10 @@ _OFF_M: Final = 0.0003
 _OFF_RAD: Final = 0.001
 
 
+MOVEP_UNCHECKED: Final = "movep           moves along the path at a speed of its own, which is not checked"
+"""What whoever exports a ``movep`` is told."""
+
+
 def write_servoj(path: Path, program: Program) -> None:
     """Write ``movej`` to the first sample and one ``servoj`` a sample, joint angles in radians.
 
@@ -62,7 +66,8 @@ def write_movep(path: Path, program: Program) -> None:
             for place, blend in zip(places, blends, strict=True)
         ),
     ]
-    _write(path, program, lines)
+    told = "# The times and loads checked are those of servoj; movep goes along the same path at a speed of its own."
+    _write(path, program, lines, told)
 
 
 def _blends(corners: Array) -> Array:
@@ -100,11 +105,12 @@ def _list(values: Array) -> str:
     return "[" + ", ".join(f"{value:.10f}" for value in values) + "]"
 
 
-def _write(path: Path, program: Program, lines: list[str]) -> None:
+def _write(path: Path, program: Program, lines: list[str], *told: str) -> None:
     start = pose.to_rotation_vector(program.motion.poses[0, pose.QUATERNION])
     head = [
         f"# Task {program.task} for {program.arm.name}: {program.motion.times[-1]:.3f} s. Made by koopdqn.",
         "# Checked in simulation from the first sample on; the movej to it is not checked.",
+        *told,
         f"# It starts with the flange at {np.round(program.motion.poses[0, pose.POSITION], 6).tolist()} m,"
         f" rotation vector {np.round(start, 6).tolist()} rad, in Base.",
         f"def koopdqn_{program.task}():",

@@ -1,6 +1,7 @@
 """A film: the learned motion beside a demonstration, with their distances as a strip below."""
 
 import io
+import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from importlib import import_module
@@ -37,13 +38,15 @@ def check_film(path: Path, key: str) -> None:
     """Raise unless a film can be written to a path; ``key`` names it for the user.
 
     Raises:
-        BadInputError: it ends otherwise than in .mp4 or .gif, or is there already.
+        BadInputError: it ends otherwise than in .mp4 or .gif, is there already, or its folder cannot be written.
         WorkFailedError: an mp4 is asked for and the extra ``video`` is not installed.
     """
     if path.suffix not in FRAMES_PER_SECOND:
         raise BadInputError(f"{key}: must end in {' or '.join(FRAMES_PER_SECOND)}, found {str(path)!r}")
     if path.exists():
         raise BadInputError(f"{key}: must name a new file, found {str(path)!r}, which exists")
+    if path.parent.is_dir() and not os.access(path.parent, os.W_OK | os.X_OK):
+        raise BadInputError(f"{key}: must name a file in a folder that can be written, found {str(path)!r}")
     if path.suffix == ".mp4":
         _encoder()
 

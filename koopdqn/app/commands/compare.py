@@ -222,7 +222,7 @@ def _table(listing: Listing, without: str = "") -> "Table":
 
     kept = [place for place, heading in enumerate(listing.header) if heading != without]
     header, *rows = ([row[place] for place in kept] for row in (listing.header, *listing.rows))
-    look = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "title": listing.title}
+    look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "title": listing.title}
     made = console.table(header, rows, header, **look)
     for column in made.columns:
         column.overflow = "fold"

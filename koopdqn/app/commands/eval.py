@@ -180,10 +180,8 @@ def _methods(headings: tuple[str, ...], rows: dict[str, list[str]], **words: str
     from rich import box
 
     cells = [[name.replace("_", " "), *row] for name, row in rows.items()]
-    made = console.table(headings, cells, ("method", "failures"), box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), **words)
-    for column in made.columns[:-1]:
-        column.no_wrap = True
-    return made
+    look = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), **words}
+    return console.table(headings, cells, ("method", "failures"), whole=True, **look)
 
 
 def _cells(method: dict[str, Any]) -> list[str]:

@@ -23,7 +23,7 @@ from koopdqn.programs.ros import write_bag, write_json_trajectory, write_yaml_tr
 from koopdqn.programs.schema import LimitsUsed, ProgramDynamics, ProgramFile, StreamFile
 from koopdqn.programs.settings import ProgramSettings
 from koopdqn.programs.streaming import Streamed, read_state, stream
-from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
+from koopdqn.programs.urscript import MOVEP_UNCHECKED, write_movep, write_rtde, write_servoj
 from koopdqn.rl.policy import tube_of
 from koopdqn.robot.scene import Scene
 from koopdqn.robot.ur import URArm
@@ -64,6 +64,7 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
         f" smoothed by at most {report['smoothing_mm']:.2f} mm and {report['smoothing_deg']:.2f}°",
         f"limits used     joint speed {used['joint_speed']:.0%}, acceleration {used['joint_acceleration']:.0%},"
         f" jerk {used['joint_jerk']:.0%}, tool speed {used['tool_speed']:.0%}",
+        *([MOVEP_UNCHECKED] if "urscript" in settings.formats and settings.urscript == "movep" else []),
         f"in dynamics     nothing touches, {dynamics['tracking_error_mm']:.2f} mm off at most,"
         f" {dynamics['peak_joint_torque_ratio']:.0%} of the torque",
         *([near_person(report["separation"])] if report["separation"] else []),
@@ -217,7 +218,7 @@ def stream_path(config: Configuration, folder: Path) -> CommandResult:
     write_json(folder / STREAMED, report)
     found = "not asked" if settings.host is None else "stands at the start" if not settings.move else "moved"
     lines = [
-        f"{report['seconds']:.2f} s, {report['samples']} samples, checked as koopdqn export does",
+        f"{report['seconds']:.2f} s, {report['samples']} samples after the first, checked as koopdqn export does",
         f"arm at {settings.host}: {found}" if settings.host else "no host given: nothing was asked",
         *(
             [

@@ -71,6 +71,7 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
         with reading(f"checkpoint {folder / CHECKPOINT}"):
             trainer.restore(checkpoint.arrays, checkpoint.about["state"])
         console.note(f"going on after {trainer.env_steps} actions and {trainer.questions} questions")
+    done = 0 if checkpoint is None else trainer.env_steps
     dashboard = None
     if not config.oracle.shows_progress and not in_sweep() and fits(console.err()):
         poses = [item.poses for item in demonstrations.items]
@@ -78,6 +79,9 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     bar = dashboard is None and not config.oracle.shows_progress
     _learn(trainer, oracle, folder, shaped_by, began - before, dashboard, bar=bar)
     seconds = before + monotonic() - began
+    if done == trainer.env_steps and (folder / TRAINING).is_file():
+        console.note("nothing was left to do: the run had ended; train.stop=limit or higher limits let it go on")
+        seconds = float(_held_in(folder / TRAINING, "the training report").get("seconds", before))
     made = trainer.best, config.agent.network, intent.model.start_frame, shaped_by
     write_policy(folder / POLICY, *made, continuous=config.agent.continuous)
     report = train_report(config, trainer, seconds, made_from)

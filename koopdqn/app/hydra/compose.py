@@ -38,6 +38,10 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     return config
 
 
+# Keys that commands set themselves, and what the command line takes beside the config's own keys.
+_NO_KEYS: Final = {"hydra", "command", "intent_file", "trust_modules"}
+_MORE_KEYS: Final = ("preset", "obstacles")
+
 # What Hydra knows is one for all threads.
 _LOCK: Final = RLock()
 
@@ -156,7 +160,8 @@ def _from_omegaconf(error: BaseException) -> BadInputError:
         return BadInputError(f"{key}: must be given, found ??? (nothing)")
     parent = getattr(error, "parent_node", None)
     if isinstance(error, ConfigAttributeError | ConfigKeyError) and isinstance(parent, DictConfig):
-        valid = sorted(str(name) for name in parent if name != "hydra")
+        held = {str(name) for name in parent} - _NO_KEYS
+        valid = sorted(held if "." in key else held | set(_MORE_KEYS))
         return BadInputError(f"unknown key {key}; valid: {', '.join(valid) or 'none'}")
     text = _in_one_line(str(error))
     # OmegaConf keeps of a resolver's error only its class's name and text

@@ -3,12 +3,13 @@
 import contextlib
 import itertools
 import os
+import shlex
 import shutil
 from pathlib import Path
 from typing import Final
 
 from koopdqn.errors import BadInputError
-from koopdqn.run_folder import RECORD, check_plain, locked
+from koopdqn.run_folder import BEGUN, RECORD, check_plain, locked
 
 # Hydra writes it before it looks whether the first job's config can be composed, and writes it anew.
 _OF_A_SWEEP: Final = "multirun.yaml"
@@ -53,7 +54,10 @@ def require_new(folder: Path, ignore: str = "") -> None:
     names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(".") and entry.name != ignore)
     if names and names != [_OF_A_SWEEP]:
         listed = ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
-        raise BadInputError(f"out: must name a new or an empty folder, found {str(folder)!r}, which holds {listed}")
+        hint = f"; koopdqn train run={shlex.quote(str(folder))} goes on with it" if BEGUN in names else ""
+        raise BadInputError(
+            f"out: must name a new or an empty folder, found {str(folder)!r}, which holds {listed}{hint}"
+        )
 
 
 def require_writable(folder: Path) -> None:

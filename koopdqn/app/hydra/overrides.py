@@ -254,7 +254,7 @@ def as_hydra_takes_it(override: str) -> str:
 def _prepare_one(command: str, override: str) -> str:
     name, equals, value = override.partition("=")
     if not (override.startswith("~") or (equals and name.strip("+ "))):
-        raise BadInputError(f"an override must read key=value, found {shown(override)}")
+        raise BadInputError(f"an override must read key=value (such as task=shelf), found {shown(override)}")
     if name == "intent" and _is_path(value):
         name = "intent_file"
     if name in GROUPS and (value == "null" or _NUMBER_OR_BOOLEAN.fullmatch(value)):
@@ -269,6 +269,8 @@ def _prepare_one(command: str, override: str) -> str:
             f"goal: koopdqn {command} goes to the goal that was demonstrated, found {shown(value)}; koopdqn eval takes"
             " another"
         )
+    if name in ("start", "host") and name not in own_keys and command not in ("export", "stream"):
+        raise BadInputError(f"{name}: koopdqn {command} takes none, found {shown(value)}")
     name = f"{command}.{name}" if name in own_keys else _SHORT_NAMES.get(name, name)
     if name in (*PATH_KEYS, "import.pose") and not (name in ("demos", "correct.waypoints") and _is_list(value)):
         value = _quoted(value)

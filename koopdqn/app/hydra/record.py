@@ -74,10 +74,13 @@ def read_record(folder: Path, what: str) -> list[Recorded]:
     """
     path = folder / RECORD
     if not folder.is_dir():
-        raise BadInputError(f"run: must name the folder of {what}, found no folder {str(folder)!r}")
+        found = "a file" if folder.exists() else "no folder"
+        raise BadInputError(f"run: must name the folder of {what}, found {found} {str(folder)!r}")
     check_plain(folder)
     if not path.is_file():
-        raise BadInputError(f"run: must name the folder of {what}, found no {RECORD} in {str(folder)!r}")
+        jobs = sorted(each.parent.parent.name for each in folder.glob(f"*/{RECORD}"))
+        hint = f"; it is a sweep's, whose runs are {', '.join(jobs)}" if jobs else ""
+        raise BadInputError(f"run: must name the folder of {what}, found no {RECORD} in {str(folder)!r}{hint}")
     if not path.stat().st_size:
         raise BadInputError(
             f"run: {str(folder)!r} must hold what it was begun with, found it stopped before it had begun"
