@@ -257,7 +257,7 @@ class TestOverrides:
 
     @pytest.mark.parametrize("override", ["seed", "=3", "", "+", "--sed"])
     def test_what_is_no_override_is_refused(self, override: str) -> None:
-        with pytest.raises(BadInputError, match="an override must read key=value, found"):
+        with pytest.raises(BadInputError, match=r"an override must read key=value \(such as task=shelf\), found"):
             prepare("train", [override])
 
     def test_the_command_cannot_be_overridden(self) -> None:
@@ -369,8 +369,15 @@ class TestFolder:
         (tmp_path / ".hydra").mkdir()
         (tmp_path / "train.log").touch()
         require_new(tmp_path, ignore="train.log")
-        with pytest.raises(BadInputError, match=r"must name a new or an empty folder, .* which holds train\.log"):
+        with pytest.raises(BadInputError, match=r"must name a new or an empty folder, .* which holds train\.log$"):
             require_new(tmp_path)
+
+    def test_how_to_go_on_with_what_was_begun_there_is_told(self, tmp_path: Path) -> None:
+        folder = tmp_path / "größe mit leer"
+        folder.mkdir()
+        (folder / "begun.json").touch()
+        with pytest.raises(BadInputError, match=r"; koopdqn train run='.*größe mit leer' goes on with it$"):
+            require_new(folder)
 
     def test_a_file_in_the_way_is_told(self, tmp_path: Path) -> None:
         (tmp_path / "file").touch()

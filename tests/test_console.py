@@ -103,6 +103,23 @@ def test_a_name_is_shown_and_not_obeyed_wherever_it_stands(capsys: pytest.Captur
     assert not any(sign in streams.out + streams.err for sign in "\x1b\x07\u202e\r\x9b")
 
 
+def test_no_word_of_a_table_is_cut_where_the_terminal_is_narrower(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [["nearest demonstration", "100% (57–100)", "195.3 / 337 mm", "none"]]
+    for width in (20, 60):
+        monkeypatch.setenv("COLUMNS", str(width))
+        console.out.cache_clear()
+        for whole in (False, True):
+            console.say(console.table(["method", "success", "deviation", "failures"], rows, (), whole=whole))
+            shown = capsys.readouterr().out
+            assert "…" not in shown
+            assert all(
+                word in shown for row in rows for cell in row for word in (cell.split() if not whole else [cell])
+            )
+    console.out.cache_clear()
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
 def test_borders_are_in_line_whatever_the_output_can_show(encoding: str) -> None:
     written = io.BytesIO()

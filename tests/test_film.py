@@ -55,6 +55,14 @@ def test_a_film_is_no_other_kind_of_file_and_overwrites_none(tmp_path: Path) -> 
         film.check_film(tmp_path / "mine.gif", "video")
 
 
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(BadInputError, match="video: must name a file in a folder that can be written, found"):
+        film.check_film(tmp_path / "film.gif", "video")
+
+
 def test_a_missing_encoder_is_named_before_any_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     film.check_film(tmp_path / "film.gif", "video")

@@ -100,6 +100,18 @@ def test_a_finished_run_goes_on_to_itself(uninterrupted: dict[str, str], tmp_pat
     assert digests(folder) == uninterrupted
 
 
+def test_a_run_with_nothing_left_to_do_says_so_and_keeps_its_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "run"
+    assert cli.main(["train", *SOON, f"out={folder}", "--json"]) == 0
+    report = (folder / "train.json").read_bytes()
+    assert "nothing was left to do" not in capsys.readouterr().err
+    assert cli.main(["train", f"run={folder}", "--json"]) == 0
+    assert "nothing was left to do" in capsys.readouterr().err
+    assert (folder / "train.json").read_bytes() == report
+
+
 def test_a_training_cut_short_by_a_limit_says_by_which(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "run"
     assert cli.main(["train", *SOON, f"out={folder}"]) == 0

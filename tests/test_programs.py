@@ -128,6 +128,7 @@ def test_a_joint_trajectory_read_back_follows_the_path_and_its_speeds_are_its_ow
 def test_movep_blends_over_at_most_half_of_either_line_and_follows_the_path(tmp_path: Path) -> None:
     given = program()
     write_movep(tmp_path / "program.script", given)
+    assert "The controller times movep by itself" in (tmp_path / "program.script").read_text()
     start, places, blends = read_movep(tmp_path / "program.script")
     corners = np.vstack([transforms(start[None])[0, :3, 3], places[:, :3]])
     lengths = np.linalg.norm(np.diff(corners, axis=0), axis=1)

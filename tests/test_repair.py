@@ -172,6 +172,8 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     shown = capsys.readouterr().out
     assert "edited" in shown
     assert "bert" in shown
+    assert cli.main(["feedback", "show", f"run={folder}"]) == 0
+    assert capsys.readouterr().out == shown
     assert cli.main(["feedback", "show", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["answers"] == 3
     out = tmp_path / "merged.jsonl"

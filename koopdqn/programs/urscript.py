@@ -22,7 +22,9 @@ _OFF_M: Final = 0.0003
 _OFF_RAD: Final = 0.001
 
 
-MOVEP_UNCHECKED: Final = "movep           moves along the path at a speed of its own, which is not checked"
+MOVEP_UNCHECKED: Final = (
+    "movep           is timed by the controller; what is checked are the samples, not its own motion"
+)
 """What whoever exports a ``movep`` is told."""
 
 
@@ -66,7 +68,7 @@ def write_movep(path: Path, program: Program) -> None:
             for place, blend in zip(places, blends, strict=True)
         ),
     ]
-    told = "# The times and loads checked are those of servoj; movep goes along the same path at a speed of its own."
+    told = "# The controller times movep by itself: what was checked are samples along its path, not its own motion."
     _write(path, program, lines, told)
 
 
