@@ -22,9 +22,7 @@ _OFF_M: Final = 0.0003
 _OFF_RAD: Final = 0.001
 
 
-MOVEP_UNCHECKED: Final = (
-    "movep           is timed by the controller; what is checked are the samples, not its own motion"
-)
+MOVEP_UNCHECKED: Final = "movep           is timed by the controller: samples are checked, not its own motion"
 """What whoever exports a ``movep`` is told."""
 
 
