@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -80,14 +80,14 @@ def err() -> Console:
 
 
 def say(line: RenderableType) -> None:
-    """Print one line of a result; a text is taken literally and never wrapped, and no word or number of a table cut."""
+    """Print one line of a result; a text is taken literally and never wrapped, and what is ``whole`` never cut."""
     console = out()
     if isinstance(line, str):
         console.print(_literal(line), soft_wrap=True)
         return
     least = Measurement.get(console, console.options.update(width=_WIDEST), line).minimum
-    if least > console.width:
-        # The terminal goes on in its next line.
+    if least > console.width and all(column.min_width for column in getattr(line, "columns", [])):
+        # Nothing in it may be cut, so that the terminal goes on in its next line.
         line = Segments(console.render(line, console.options.update(width=least)))
     console.print(line, crop=False)
 
@@ -168,19 +168,20 @@ def table(
     rows: Iterable[Sequence[RenderableType]],
     left: Sequence[str],
     *,
-    whole: bool = False,
+    whole: Literal["", "words", "cells"] = "",
     **look: Any,
 ) -> "Table":
     """Return a table, columns aligned to the right but for those headed as in ``left``; ``look`` is Rich's own.
 
-    With ``whole`` the cells, texts, stand in a line each but for those of the last column.
+    What is ``whole`` is never cut or broken, words or, but in the last column, cells; both are texts then.
     """
     from rich.table import Table
 
     made, rows = Table(**look), list(rows)
     for index, heading in enumerate(headings):
-        kept = whole and index < len(headings) - 1
-        least = max(cell_len(str(row[index])) for row in (headings, *rows)) if kept else None
+        kept = whole == "cells" and index < len(headings) - 1
+        cells = [str(row[index]) for row in (headings, *rows)] if whole else []
+        least = max((cell_len(part) for cell in cells for part in ([cell] if kept else cell.split())), default=None)
         made.add_column(heading, justify="left" if heading in left else "right", no_wrap=kept, min_width=least)
     for row in rows:
         made.add_row(*row)

@@ -181,7 +181,7 @@ def _methods(headings: tuple[str, ...], rows: dict[str, list[str]], **words: str
 
     cells = [[name.replace("_", " "), *row] for name, row in rows.items()]
     look = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), **words}
-    return console.table(headings, cells, ("method", "failures"), whole=True, **look)
+    return console.table(headings, cells, ("method", "failures"), whole="cells", **look)
 
 
 def _cells(method: dict[str, Any]) -> list[str]:

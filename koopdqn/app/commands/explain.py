@@ -247,4 +247,4 @@ def _table(actions: list[dict[str, Any]]) -> "Table":
     heads = ("action", "Q", "reward", "off", "person", "where the reward comes from")
     caption = "> the policy's choice; off: from the prediction, in tolerances; person: whether they agree"
     look = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "caption": caption}
-    return console.table(heads, rows, (heads[0], *heads[4:]), whole=True, **look)
+    return console.table(heads, rows, (heads[0], *heads[4:]), whole="cells", **look)

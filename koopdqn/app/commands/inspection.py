@@ -122,7 +122,7 @@ def _table(each: list[InspectedDemonstration]) -> RenderableType:
         "singular",
         "off\n[mm]",
     )
-    return console.table(headings, rows, ())
+    return console.table(headings, rows, (), whole="words")
 
 
 def _findings(report: InspectionFile) -> RenderableType:
