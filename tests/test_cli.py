@@ -197,6 +197,11 @@ def test_an_unknown_command_lists_the_commands(capsys: pytest.CaptureFixture[str
     )
 
 
+@pytest.mark.parametrize("name", ["help", "version"])
+def test_an_option_given_as_a_command_is_named(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    assert f"valid: --{name}, compare, " in refused(capsys, name)
+
+
 def test_a_config_file_that_is_no_yaml_is_told(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     Path("mine/task").mkdir(parents=True)
     Path("mine/task/bad.yaml").write_text("name: [")

@@ -44,10 +44,16 @@ def test_whatever_does_not_work_says_how_to_mend_it(monkeypatch: pytest.MonkeyPa
     checks = [
         *doctor.check_packages(lambda name: None),
         *doctor.check_rendering(lambda code, **variables: (False, "no")),
-        doctor.check_video(None, None),
+        doctor.check_extras(lambda name: None),
         doctor.check_terminal(),
     ]
     assert all(check.mend for check in checks if check.status != "ok")
+
+
+def test_an_extra_is_there_with_all_of_its_packages() -> None:
+    check = doctor.check_extras({"imageio": "2", "rosbags": "1"}.get)
+    assert check.found == "ros"
+    assert check.mend.startswith("pip install 'koopdqn[video,lerobot,rtde,gym,analytic]'")
 
 
 def test_a_probe_reports_the_last_line_an_error_or_a_signal(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -165,8 +165,11 @@ def test_a_run_whose_task_is_made_otherwise_today_is_evaluated_with_its_own(
     assert cli.main(["train", *given]) in (0, 1)
     record = logs / "run" / ".hydra" / "overrides.yaml"
     record.write_text("".join(line for line in record.read_text().splitlines(keepends=True) if "step_m" not in line))
+    assert "made from 2 demonstrations" in capsys.readouterr().err
     assert cli.main(["eval", "run=run", "out=measured", "eval.episodes=2", "eval.dynamics=false"]) == 0
-    assert "task: as in the run, from which today's defaults differ" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "task: as in the run, from which today's defaults differ" in told
+    assert "made from" not in told, "what was told in training is not told again"
     holdout = json.loads((logs / "measured" / "eval.json").read_text())["holdout"]
     assert holdout["baselines"]["floor"]["success_rate"] == 1.0
     assert not (logs / "runs").exists()

@@ -134,9 +134,9 @@ def test_every_demonstration_is_drawn_in_its_own_colour(
         assert (np.abs(pixels - 255 * np.array(mpl.colors.to_rgb(colour))).max(axis=1) < 3).sum() > 200
 
 
-def test_many_demonstrations_share_one_colour() -> None:
-    assert len(set(series_colours(len(SERIES)))) == len(SERIES)
-    assert len(set(series_colours(len(SERIES) + 1))) == 1
+@pytest.mark.parametrize("count", [1, len(SERIES), len(SERIES) + 1, 20])
+def test_of_so_many_demonstrations_no_two_have_one_colour(count: int) -> None:
+    assert len(set(series_colours(count))) == count
 
 
 def test_fit(tmp_path: Path, fitted: "Fitted", demonstrations: "Demonstrations", shelf_task: "ShelfTask") -> None:

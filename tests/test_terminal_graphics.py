@@ -137,6 +137,16 @@ def test_half_blocks_hold_two_pixels_each() -> None:
             assert tuple(style.bgcolor.triplet) == tuple(image[2 * row + 1, column])  # type: ignore[union-attr, arg-type]  # every half block has both
 
 
+def test_marks_at_one_place_stand_beside_one_another() -> None:
+    at = dict.fromkeys("mbr", (0.3, 0.5))
+    image = np.full((200, 300, 3), 128, np.uint8)
+    first = block_lines(image, 10, 1, at, colour=False)[0].plain
+    assert first == "   mbr    "
+    drawn = {mark: lettered(image, {mark: at[mark]}) != image for mark in at}
+    both = lettered(image, at) != image
+    assert both.any(axis=2).sum() > 0.95 * sum(one.any(axis=2).sum() for one in drawn.values())
+
+
 def test_shades_grow_with_the_light_and_need_no_colour() -> None:
     ramp = np.repeat(np.linspace(0, 255, 10).astype(np.uint8)[None, :, None], 2, axis=0).repeat(3, axis=2)
     (line,) = block_lines(ramp, 10, 1, {}, colour=False)

@@ -203,7 +203,8 @@ def _usage(error: Any, message: str) -> str:
             " dashes, as seed=3"
         )
     if "No such command" in message:
-        return f"{message.rstrip('.')}; valid: {', '.join(sorted(context.command.commands))}"
+        meant = [f"--{name}" for name in ("help", "version") if f"'{name}'" in message]
+        return f"{message.rstrip('.')}; valid: {', '.join([*meant, *sorted(context.command.commands)])}"
     return message
 
 

@@ -25,6 +25,14 @@ _PACKAGES: Final = (
     *("mujoco", "dm-control", "dm-env", "torch", "numpy", "scipy", "h5py", "hydra-core", "omegaconf", "pydantic"),
     *("safetensors", "matplotlib", "tensorboard", "typer", "rich"),
 )
+_EXTRAS: Final = {
+    "video": ("imageio", "imageio-ffmpeg"),
+    "ros": ("rosbags",),
+    "lerobot": ("pyarrow",),
+    "rtde": ("ur-rtde",),
+    "gym": ("gymnasium",),
+    "analytic": ("eaik",),
+}
 _LEAST_FREE_BYTES: Final = 1_000_000_000
 _PROBE_SECONDS: Final = 60.0
 _MENDS: Final = {
@@ -99,7 +107,7 @@ def examine() -> list[Check]:
         _check_threads(),
         check_folder(Path.cwd()),
         *_check_resources(),
-        check_video(_version("imageio"), _version("imageio-ffmpeg")),
+        check_extras(_version),
     ]
 
 
@@ -211,12 +219,12 @@ def _check_resources() -> list[Check]:
     return checks
 
 
-def check_video(imageio: str | None, ffmpeg: str | None) -> Check:
-    """Return whether films can be written, given the versions of imageio and imageio-ffmpeg (None: absent)."""
-    missing = " and ".join(name for name, v in (("imageio", imageio), ("imageio-ffmpeg", ffmpeg)) if v is None)
-    if missing:
-        return Check("films (optional)", "warn", f"{missing} not installed", "pip install 'koopdqn[video]'")
-    return Check("films (optional)", "ok", f"imageio {imageio}, imageio-ffmpeg {ffmpeg}")
+def check_extras(version: Callable[[str], str | None]) -> Check:
+    """Return which extras are installed, given the version of an installed package, or None."""
+    found = {extra: all(map(version, packages)) for extra, packages in _EXTRAS.items()}
+    there, absent = ([extra for extra, have in found.items() if have is which] for which in (True, False))
+    mend = f"pip install 'koopdqn[{','.join(absent)}]', or those of them that you need" if absent else ""
+    return Check("extras (optional)", "ok", ", ".join(there) or "none", mend)
 
 
 def _version(name: str) -> str | None:

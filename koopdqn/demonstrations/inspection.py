@@ -128,7 +128,7 @@ class Together:
     Attributes:
         deviation_mm: of each from the mean of the others.
         duplicates: pairs that are the same. ``odd``: those far off all others.
-        spread_mm: RMS distance from the mean at 0, 25, 50, 75 and 100 % of the path.
+        spread_mm: RMS distance from the mean at 0, 25, 50, 75 and 100 % of the path. ``spread_deg``: in turn.
         left_out_mm: mean distance of one left out from the mean of 1, 2, … others.
         ways: the two groups that go clearly different ways; empty where all go one.
     """
@@ -138,6 +138,7 @@ class Together:
     odd: list[int]
     spread_mm: list[float]
     left_out_mm: list[float]
+    spread_deg: list[float] = field(default_factory=list)
     ways: list[list[int]] = field(default_factory=list)
 
     @property
@@ -161,7 +162,8 @@ def compare(items: Sequence[Demonstration]) -> Together:
     """Return what demonstrations are beside one another, matched by their share of path."""
     if len(items) < 2:
         return Together([], [], [], [], [])
-    paths = np.array([1e3 * to_count(item.poses, _PLACES, way_lengths(item.poses))[:, POSITION] for item in items])
+    poses = np.array([to_count(item.poses, _PLACES, way_lengths(item.poses)) for item in items])
+    paths = 1e3 * poses[..., POSITION]
     count = len(paths)
     same = [
         Pair(first=i, second=i + 1 + int(j))
@@ -176,10 +178,12 @@ def compare(items: Sequence[Demonstration]) -> Together:
         curve.append(float(deviation.mean()))
     far = sorted(np.argsort(deviation)[-_MOST_ODD:].tolist()) if count > 2 else []
     odd = [i for i in far if deviation[i] > max(_ODD * _usual(np.delete(paths, i, axis=0)), _FINE_MM)]
-    mean = 1e3 * mean_poses([item.poses for item in items], _PLACES)[:, POSITION]
-    spread = np.sqrt(((paths - mean) ** 2).sum(axis=2).mean(axis=0))
+    mean = mean_poses([item.poses for item in items], _PLACES)
     places = np.linspace(0, _PLACES - 1, 5).astype(int)
-    return Together(deviation.tolist(), same, odd, spread[places].tolist(), curve, _two_ways(paths))
+    apart = np.linalg.norm(paths - 1e3 * mean[:, POSITION], axis=2)
+    turned = np.degrees([pose.rotation_distance(one, mean) for one in poses])
+    spread, turn = (np.sqrt((each[:, places] ** 2).mean(axis=0)).tolist() for each in (apart, turned))
+    return Together(deviation.tolist(), same, odd, spread, curve, turn, _two_ways(paths))
 
 
 def _two_ways(paths: Array) -> list[list[int]]:
@@ -248,7 +252,8 @@ def findings(
         text = f"{', '.join(map(str, beside.odd))}: more than three times as far off as the others"
         found.append(_finding("odd one out", "look" if beside.odd else "good", text if beside.odd else "none"))
     if beside.spread_mm:
-        text = " ".join(f"{value:.0f}" for value in beside.spread_mm) + " mm at 0, 25, 50, 75 and 100 % of the path"
+        far, turned = (" ".join(f"{each:.0f}" for each in spread) for spread in (beside.spread_mm, beside.spread_deg))
+        text = f"{far} mm and {turned}° at 0, 25, 50, 75 and 100 % of the path"
         if beside.ways:
             text += f"; {beside.parted}"
         found.append(_finding("spread", "look" if beside.ways else "good", text))

@@ -78,6 +78,9 @@ class InspectionFile(ReportModel):
         max_length=5,
         description="RMS distance from the mean at 0, 25, 50, 75 and 100 % of the path; null for a single one [mm]",
     )
+    spread_deg: list[float] | None = Field(
+        min_length=5, max_length=5, description="RMS turn from the mean at the same places; null for a single one [°]"
+    )
     left_out_mm: list[float] = Field(
         description="mean distance of a demonstration left out from the mean of 1, 2, … others [mm]"
     )

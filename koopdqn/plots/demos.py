@@ -71,7 +71,9 @@ def _components(axes: Sequence[Axes], demonstrations: Demonstrations, task: Task
     learned = task.orientation == "learned"
     for index, (item, colour) in enumerate(zip(demonstrations.items, colours, strict=True)):
         share = _share(item.poses[:, pose.POSITION])
-        label = f"demonstration {index}" if len(set(colours)) > 1 else "demonstrations" if not index else None
+        # Of many the first and the last say which way the colours run.
+        named = len(colours) <= len(style.SERIES) or index in (0, len(colours) - 1)
+        label = f"demonstration {index}" if named else None
         for i in range(3):
             axes[i].plot(share, item.poses[:, i], color=colour, label=label)
         left = np.degrees(pose.rotation_distance(item.poses, task.goal))
@@ -154,7 +156,8 @@ def _paths(
         x, y = style.project(after.poses[:, pose.POSITION], plane)
         axes.plot(x, y, color=colour)
         axes.plot(x[:1], y[:1], "o", color=colour)
-    axes.set(title=f"From {style.VIEWS[plane]}", xlabel="[m]", ylabel="[m]")
+    i, j = style.PLANES[plane]
+    axes.set(title=f"From {style.VIEWS[plane]}", xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
     axes.set_aspect("equal", adjustable="datalim")
     # Ticks of two decimals: the layout is made before the aspect is known, and has no room for more.
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))

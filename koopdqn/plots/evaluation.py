@@ -80,8 +80,9 @@ def _deviation(axes: Axes, evaluation: Evaluation, aside: bool) -> None:
         (apart.lateral, style.RED, "sideways"),
     ):
         low, median, high = np.percentile(values * _MM, [5, 50, 95], axis=0)
-        axes.fill_between(share, low, high, color=colour, alpha=0.16, lw=0, label=f"{name}, 5–95 %")
-        axes.plot(share, median, color=colour, label=f"{name}, median")
+        if len(values) > 1:
+            axes.fill_between(share, low, high, color=colour, alpha=0.16, lw=0, label=f"{name}, 5–95 %")
+        axes.plot(share, median, color=colour, label=f"{name}, median" if len(values) > 1 else name)
         highest = max(highest, float(high.max()))
     # Room above for the legend.
     axes.set_ylim(0, 1.45 * highest)

@@ -6,7 +6,6 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -68,11 +67,7 @@ def plot_explanation(
             top.set_title(f"From {style.VIEWS[plane]}")
             _actions(bottom, plane, content, _AROUND_STEPS * task.step_m)
         entries = _entries(on_path=learned is not None)
-        handles: list[Any] = list(entries.values())
-        look: dict[str, Any] = {"loc": "outside lower center", "ncols": 4, "handlelength": 3.2}
-        # What has a look in the views and one in the bars has both beside each other.
-        look["handler_map"] = {tuple: HandlerTuple(ndivide=None, pad=0.6)}
-        figure.legend(handles, list(entries), **look)
+        figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=4, handlelength=3.2)
         _values(figure.add_subplot(columns[1]), content["actions"])
 
 
@@ -113,48 +108,38 @@ def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> 
     axes.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]")
 
 
-def _entries(*, on_path: bool) -> dict[str, tuple[Line2D | Patch, ...]]:
-    """Return what stands for each name of the legend: its look in the views, and in the bars where it has one."""
-    entries: dict[str, tuple[Line2D | Patch, ...]] = {"demonstrated": (Line2D([], [], color=style.DEMONSTRATED),)}
+def _entries(*, on_path: bool) -> dict[str, Line2D | Patch]:
+    """Return what stands for each name of the legend."""
+    entries: dict[str, Line2D | Patch] = {"demonstrated": Line2D([], [], color=style.DEMONSTRATED)}
     if on_path:
-        entries["learned"] = (Line2D([], [], color=style.LEARNED, linewidth=2),)
-        entries["compared with"] = (Line2D([], [], color=style.MEANT, linestyle="--"),)
-    bar: dict[str, Any] = {"facecolor": style.GREY, "linewidth": 1.6}
+        entries["learned"] = Line2D([], [], color=style.LEARNED, linewidth=2)
+        entries["compared with"] = Line2D([], [], color=style.MEANT, linestyle="--")
     return entries | {
-        "start region": (Patch(fill=False, edgecolor=style.GREY, linestyle="--", linewidth=1.2),),
-        "goal": (Line2D([], [], color=style.INK, marker="*", markersize=12, linestyle=""),),
-        "the state": (Line2D([], [], **_STATE),),
-        "predicted": (Line2D([], [], **_PREDICTED),),
-        "action, reward: right": (_action(_RIGHT), Patch(facecolor=_RIGHT)),
-        "action, reward: wrong": (_action(_WRONG), Patch(facecolor=_WRONG)),
-        "would be asked": (
-            Line2D([], [], color=style.GREY, linestyle=":"),
-            Patch(edgecolor="white", hatch="///", **bar),
-        ),
-        "the policy's choice": (Line2D([], [], color=style.GREY, linewidth=4), Patch(edgecolor=style.INK, **bar)),
+        "start region": Patch(fill=False, edgecolor=style.GREY, linestyle="--", linewidth=1.2),
+        "goal": Line2D([], [], color=style.INK, marker="*", markersize=12, linestyle=""),
+        "the state": Line2D([], [], **_STATE),
+        "predicted": Line2D([], [], **_PREDICTED),
+        "action, reward: right": Line2D([], [], color=_RIGHT, linewidth=1.8, marker="o", markersize=5),
+        "action, reward: wrong": Line2D([], [], color=_WRONG, linewidth=1.8, marker="o", markersize=5),
+        "would be asked": Line2D([], [], color=style.GREY, linestyle=":", marker="o", markerfacecolor="white"),
+        "the policy's choice": Line2D([], [], color=style.GREY, linewidth=4, marker="o", markersize=9),
     }
 
 
-def _action(colour: str) -> Line2D:
-    return Line2D([], [], color=colour, linewidth=1.8, marker="o", markersize=4)
-
-
 def _values(axes: Axes, actions: Sequence[dict[str, Any]]) -> None:
-    places = np.arange(len(actions))
     values = np.array([action["q"] for action in actions])
-    colours = [_RIGHT if action["reward"] >= 0 else _WRONG for action in actions]
-    hatches = ["///" if action["source"] == "asked" else "" for action in actions]
-    edges = [style.INK if action["chosen"] else "white" for action in actions]
-    # From the least value, so that what tells them apart is seen.
+    # Points, since the axis shows what tells them apart and need not hold 0.
     low, high = float(values.min()), float(values.max())
-    base = low - 0.3 * max(high - low, 1e-6)
-    axes.barh(places, values - base, left=base, color=colours, hatch=hatches, edgecolor=edges, linewidth=1.6)
-    for place, action in zip(places.tolist(), actions, strict=True):
+    room = max(high - low, 1e-6)
+    for place, action in enumerate(actions):
+        colour, chosen = _RIGHT if action["reward"] >= 0 else _WRONG, action["chosen"]
+        asked = action["source"] == "asked"
+        fill, dashes, width = "white" if asked else colour, ":" if asked else "-", 4.0 if chosen else 1.8
+        axes.plot([low - 0.08 * room, action["q"]], [place, place], dashes, color=colour, linewidth=width)
+        axes.plot(action["q"], place, "o", color=colour, markerfacecolor=fill, markersize=11 if chosen else 7)
         text = f"{action['reward']:+.2f} {action['source']}"
-        room = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5}
-        axes.text(base + 0.03 * (high - base), place, text, va="center", color=style.INK, fontsize=8, bbox=room)
-    axes.set_yticks(places, [f"{action['number']} {action['name']}" for action in actions])
-    axes.invert_yaxis()
-    axes.set(xlim=(base, high + 0.05 * max(high - low, 1e-6)), xlabel="Q")
-    axes.set_title("Value Q; reward and where it comes from")
+        axes.text(low, place - 0.18, text, va="bottom", color=style.INK, fontsize=8)
+    axes.set_yticks(np.arange(len(actions)), [f"{action['number']} {action['name']}" for action in actions])
+    axes.set(ylim=(len(actions) - 0.5, -0.8), xlim=(low - 0.08 * room, high + 0.08 * room), xlabel="Q")
+    axes.set_title("Value Q; reward and its source")
     axes.grid(axis="y", visible=False)

@@ -7,9 +7,10 @@ from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -35,7 +36,7 @@ GREY: Final = "#8A8F98"
 PALE: Final = "#D5D9DF"
 
 SERIES: Final = (BLUE, ORANGE, GREEN, PINK, SKY, RED)
-"""Colours of things shown one by one, such as demonstrations; more than these share :data:`GREY`."""
+"""Colours of things shown one by one, such as demonstrations; more than these run from dark to light."""
 LEARNED: Final = BLUE
 DEMONSTRATED: Final = ORANGE
 MEANT: Final = INK
@@ -103,7 +104,10 @@ def picture(path: Path, title: str, width: int, height: int) -> Iterator[Figure]
 
 def series_colours(count: int) -> list[str]:
     """Return a colour for each of ``count`` things shown one by one."""
-    return list(SERIES[:count]) if count <= len(SERIES) else [GREY] * count
+    if count <= len(SERIES):
+        return list(SERIES[:count])
+    # The lightest of that map cannot be seen on white.
+    return [to_hex(colormaps["viridis"](share)) for share in np.linspace(0.0, 0.85, count)]
 
 
 def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]:

@@ -225,7 +225,7 @@ def plot_sweep(path: Path, title: str, variants: Sequence[tuple[str, Mapping[str
                 axes.errorbar(values.mean(), row, xerr=deviation, elinewidth=1.4, capsize=4, **look)
             known = [value for _, quantities in variants for value in quantities[name]]
             if not known:
-                style.note(axes, "not measured")
+                style.note(axes, "not measured;\nkoopdqn eval does")
                 axes.tick_params(labelbottom=False)
             # Every quantity is 0 or more; a share has an end.
             end = 100.0 if name.endswith("[%]") else max([*known, axes.get_xlim()[1]])

@@ -53,12 +53,13 @@ def with_task(config: Configuration, folder: Path | None, *, keep: bool) -> Conf
         trajectories = [*derived.task.trajectories, *_held_out_as_task(derived)]
         read = find_placement(_arm_in(config, derived.task), trajectories).moved(read)
         derived = recipe.derive(read, **learning)
-    if read.placement is not None:
-        console.note(f"task {recipe.name}: demonstrations {read.placement}")
     if kept is not None:
         check_kept(kept, read, sources)
-    for line in derived.notes:
-        console.note(f"task {recipe.name}: {line}")
+    if config.inputs.demos:
+        # Of a run's own copy this was told before.
+        moved = [] if read.placement is None else [f"demonstrations {read.placement}"]
+        for line in (*moved, *derived.notes):
+            console.note(f"task {recipe.name}: {line}")
     _check_followed(config, derived)
     if keep and kept is not None and not kept.exists():
         write_hdf5(kept, read)

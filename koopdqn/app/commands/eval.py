@@ -1,5 +1,6 @@
 """``koopdqn eval``: measure a trained run on held-out starts."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -122,12 +123,16 @@ def _film(
 
 def table(report: dict[str, Any]) -> "Table":
     """Return the content of ``eval.json`` as a table of one row per method, the policy first."""
-    return _methods(
-        ("method", "success", "deviation", "sideways", "failures"),
-        {name: _cells(method) for name, method in {"policy": report, **(report["baselines"] or {})}.items()},
-        title=f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}",
-        caption="deviation: mean and 95th percentile of the largest, points matched by arc length",
-    )
+    methods = {"policy": report, **(report["baselines"] or {})}
+    headings, rows = ["method", "success", "failures"], {name: _cells(method) for name, method in methods.items()}
+    words = {"title": f"{report['task']}: {report['episodes']} held-out starts, seed {report['seed']}"}
+    if any(method["path_deviation_mm"]["mean"] is not None for method in methods.values()):
+        headings[2:2] = ["deviation", "sideways"]
+        words["caption"] = "deviation: mean and 95th percentile of the largest, points matched by arc length"
+    else:
+        # There is no demonstrator's own path from these starts.
+        rows = {name: [success, failures] for name, (success, *_, failures) in rows.items()}
+    return _methods(headings, rows, **words)
 
 
 def off(method: dict[str, Any], whose: str, *, continuous: bool) -> list[RenderableType]:
@@ -176,7 +181,7 @@ def holdout_table(report: dict[str, Any]) -> "Table":
     )
 
 
-def _methods(headings: tuple[str, ...], rows: dict[str, list[str]], **words: str) -> "Table":
+def _methods(headings: Sequence[str], rows: dict[str, list[str]], **words: str) -> "Table":
     from rich import box
 
     cells = [[name.replace("_", " "), *row] for name, row in rows.items()]

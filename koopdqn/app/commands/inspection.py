@@ -51,6 +51,7 @@ def inspect(config: Configuration, folder: Path) -> CommandResult:
         duplicates=beside.duplicates,
         odd=beside.odd,
         spread_mm=beside.spread_mm or None,
+        spread_deg=beside.spread_deg or None,
         left_out_mm=beside.left_out_mm,
         enough=beside.enough,
         findings=findings(each, beside, config.robot.name, *_as_task(config, kept)),
@@ -122,7 +123,8 @@ def _table(each: list[InspectedDemonstration]) -> RenderableType:
         "singular",
         "off\n[mm]",
     )
-    return console.table(headings, rows, (), whole="words")
+    caption = "speed: a joint's, of its limit; singular: least singular value; off: from the others' mean"
+    return console.table(headings, rows, (), whole="words", caption=caption)
 
 
 def _findings(report: InspectionFile) -> RenderableType:

@@ -136,7 +136,9 @@ class TerminalOracle(Oracle):
         if not question.earlier:
             self._window.say("nothing is left to undo")
             return None
-        self._window.say(f"Withdrawn: {screen.recalled(question.earlier[-1])}; it is asked again when it comes up")
+        counts = "" if question.left is None else ", and counts as asked"
+        told = screen.recalled(question.earlier[-1])
+        self._window.say(f"Withdrawn: {told}; it is asked again when it comes up{counts}")
         return Answer(None, self._teacher, undo=1, again=True)
 
     def _save(self, question: Question) -> None:

@@ -195,10 +195,15 @@ def lettered(image: Image, marks: Mapping[str, tuple[float, float]], caption: st
     size = height / _LETTERS
     font = ImageFont.load_default(size)
     edge = {"font": font, "stroke_width": max(1, round(size / 10)), "stroke_fill": (0, 0, 0)}
+    taken: list[tuple[float, float]] = []
     for mark, (x, y) in marks.items():
         if 0 <= x < 1 and 0 <= y < 1:
-            # Beside the dot, which it would hide.
-            pen.text((x * width + 0.5 * size, y * height), mark, _LETTER_COLOURS.get(mark, _WHITE), anchor="lm", **edge)
+            # Beside the dot, which it would hide, and beside letters that stand there already.
+            left, middle = x * width + 0.5 * size, y * height
+            while any(abs(left - x) < size and abs(middle - y) < 0.9 * size for x, y in taken):
+                left += 0.1 * size
+            taken.append((left, middle))
+            pen.text((left, middle), mark, _LETTER_COLOURS.get(mark, _WHITE), anchor="lm", **edge)
     small = {**edge, "font": ImageFont.load_default(0.6 * size)}
     pen.text((0.5 * size, height - 0.5 * size), caption, _WHITE, anchor="lb", **small)
     return np.asarray(drawn)
@@ -213,7 +218,13 @@ def block_lines(
     """
     small = resized(image, width, 2 * rows)
     lines = _in_colour(small) if colour else _in_shades(small)
-    places = {(int(y * rows), int(x * width)): mark for mark, (x, y) in marks.items() if 0 <= x < 1 and 0 <= y < 1}
+    places: dict[tuple[int, int], str] = {}
+    for mark, (x, y) in marks.items():
+        if 0 <= x < 1 and 0 <= y < 1:
+            row, column = int(y * rows), int(x * width)
+            while (row, column) in places and column < width - 1:
+                column += 1
+            places[row, column] = mark
     for (row, column), mark in places.items():
         line = lines[row]
         style = Style(bold=True, color=_MARK_COLOURS.get(mark, "bright_white"), bgcolor="black")
