@@ -217,13 +217,16 @@ def _result_listing(found: Sequence[ComparedRun], starts: int) -> Listing:
     return Listing("Results", header, rows)
 
 
-def _table(listing: Listing, without: str = "") -> "Table":
+def _table(listing: Listing, without: str = "") -> "Table | str":
     from rich import box
 
+    if not listing.rows:
+        return listing.title
     kept = [place for place, heading in enumerate(listing.header) if heading != without]
     header, *rows = ([row[place] for place in kept] for row in (listing.header, *listing.rows))
     look: dict[str, Any] = {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0), "title": listing.title}
-    made = console.table(header, rows, header, **look)
+    # What a config holds may be long, and is folded.
+    made = console.table(header, rows, header, whole="words" if without else "", **look)
     for column in made.columns:
         column.overflow = "fold"
     return made
