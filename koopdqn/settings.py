@@ -199,6 +199,8 @@ NonNegativeInt = Annotated[int, Field(ge=0)]
 """A whole number, 0 or above."""
 Name = Annotated[str, Field(min_length=1)]
 """A text that is not empty."""
+Line = Annotated[str, Field(pattern=r"^[^\p{C}\p{Zl}\p{Zp}]+$")]
+"""A text of one line, all of it visible: what is written into programs is no line of its own there."""
 PathText = Annotated[Path, BeforeValidator(_to_path)]
 """A path, written as a text that is not empty; it need not exist."""
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]

@@ -19,7 +19,7 @@ from koopdqn.errors import BadInputError
 from koopdqn.intent.bend import Bend
 from koopdqn.plots import style
 from koopdqn.rl.policy import write_corrected
-from koopdqn.view.schema import CompareFile
+from koopdqn.view.schema import CompareFile, Difference
 
 STOPPED = "train.max_steps=1500"
 
@@ -131,6 +131,14 @@ def test_a_run_beside_itself_differs_in_nothing_and_leaves_nothing_else(
     one, other = content["runs"]
     assert {**one, "label": "B"} == other
     assert [each.name for each in tmp_path.iterdir()] == ["out"]
+
+
+def test_long_values_that_differ_at_their_ends_are_a_difference() -> None:
+    one, other = (compare._flat({"task": {"waypoints": [*range(100), end]}}) for end in (1, 2))
+    assert one != other
+    difference = Difference(key="task.waypoints", values=[*one.values(), *other.values()])
+    (row,) = compare._config_listing([difference], []).rows
+    assert max(map(len, row)) <= 60
 
 
 def test_runs_are_named_as_often_as_there_are(runs: tuple[Path, Path]) -> None:

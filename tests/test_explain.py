@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_shelf import shelf
+from helpers_shelf import reward_of, shelf, taught
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from parts import straight_poses
@@ -17,14 +17,17 @@ from small_run import SMALL
 
 from koopdqn import console, pose
 from koopdqn.app import cli
+from koopdqn.app.api import load_config
 from koopdqn.app.commands import explain
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.intent.bend import Bend
 from koopdqn.intent.reward import ActionEvaluation
+from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
+from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.policy import write_corrected
 from koopdqn.tasks.rollout import RULE_BROKEN, STEP_LIMIT, STUCK, SUCCESS, Episode
-from koopdqn.view.explain import Walk, left_at, telling_step
+from koopdqn.view.explain import Walk, _why, left_at, telling_step
 from koopdqn.view.schema import ExplainFile, ExplainSettings
 
 COUNT = 30
@@ -258,3 +261,18 @@ def test_its_own_keys_need_no_prefix_and_those_of_others_stay(run: Path) -> None
     own = prepare("explain", [f"run={run}", "start=1", "step=2"]).overrides
     assert {"explain.start=1", "explain.step=2"} <= set(own)
     assert "program.start=nominal" in prepare("export", [f"run={run}", "start=nominal"]).overrides
+
+
+def test_what_was_named_as_better_is_told_as_a_yes() -> None:
+    feedback = Feedback(reward_of(taught()), ScriptedOracle(shelf().task), load_config().feedback)
+    # Where nothing is trusted.
+    here = shelf().task.nominal_start[None] + np.array([0.0, 0.0, 0.15, 0.0, 0.0, 0.0, 0.0])
+    found = feedback.evaluate_actions(here, np.zeros(1, dtype=np.int64), here)
+    # "No, +y would have been right" is remembered as two answers of one number.
+    for action, right in ((4, False), (6, True)):
+        margin, reached = float(found.margin[0, action]), found.local_reached[0, action]
+        feedback.answers.add(7, found.local[0], action, reached, right=right, margin=margin, expected=False)
+    found = feedback.evaluate_actions(here, np.zeros(1, dtype=np.int64), here)
+    told = [_why(found, 0, action, feedback, taught().trajectories) for action in (4, 6)]
+    assert "answer 7 said no to +x" in told[0]
+    assert "answer 7 said yes to +y" in told[1]

@@ -4,29 +4,34 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 from helpers_shelf import shelf, taught
 from parts import as_demonstrations
 from program_reader import Timed, read_joint_trajectory, read_movep, read_servoj, transforms
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.distance import cdist
 
 from koopdqn import pose
 from koopdqn.app.api import load_config
+from koopdqn.app.commands import program as command
 from koopdqn.app.commands.program import export_program
+from koopdqn.artifact import described
 from koopdqn.demonstrations.dataset import Placement
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError, WorkFailedError
-from koopdqn.paths import SmoothPath, hausdorff
+from koopdqn.paths import SmoothPath, arc_lengths, hausdorff
 from koopdqn.pose import Array
 from koopdqn.programs.program import Program, make_program
 from koopdqn.programs.ros import write_bag, write_json_trajectory, write_yaml_trajectory
 from koopdqn.programs.schema import ProgramFile
 from koopdqn.programs.settings import ProgramSettings
-from koopdqn.programs.timing import Limits, smoothed, timed
+from koopdqn.programs.timing import Limits, smoothed, steady, timed
 from koopdqn.programs.urscript import write_movep, write_rtde, write_servoj
 from koopdqn.robot.scene import SceneBuilder
+from koopdqn.robot.ur import URArm
 from koopdqn.tasks.actions import nearest_actions
 from koopdqn.tasks.shelf import ShelfTask
 from koopdqn.tasks.task import demonstrator_next_poses
@@ -121,8 +126,33 @@ def test_a_joint_trajectory_read_back_follows_the_path_and_its_speeds_are_its_ow
     assert_follows(positions.joints, given.smooth)
     assert (np.abs(velocities.joints) <= given.limits.speed).all()
     assert (np.abs(accelerations.joints) <= given.limits.acceleration).all()
+    # As ROS's controllers ask of the last point.
+    assert not velocities.joints[[0, -1]].any()
+    assert not accelerations.joints[[0, -1]].any()
     middle = 0.5 * (velocities.joints[1:] + velocities.joints[:-1])
     np.testing.assert_allclose(middle * given.motion.period, np.diff(positions.joints, axis=0), atol=1e-4)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_at_the_speed_of_movep_joints_keep_their_limits(uneven: bool) -> None:
+    given = program()
+    rows = given.followed
+    if uneven:
+        # Rows as near together as where the tool turns while it moves.
+        place = np.linspace(0.0, 1.0, len(rows))
+        at = (len(rows) - 1) * (place - 0.12 * np.sin(6 * np.pi * place) / np.pi)
+        rows = np.asarray(make_interp_spline(np.arange(len(rows)), rows, k=5)(at))
+    speed, acceleration = steady(rows, shelf().arm.forward, given.limits)
+    path = make_interp_spline(np.arange(len(rows)), rows, k=5)
+    fine = np.linspace(0.0, len(rows) - 1.0, 200 * len(rows))
+    way = arc_lengths(shelf().arm.forward(path(fine))[:, :3])
+    period = 0.004
+    joints = path(np.interp(np.arange(0.0, way[-1] / speed, period), way / speed, fine))
+    limits = (given.limits.speed, given.limits.acceleration, given.limits.jerk)
+    used = [float((np.abs(np.diff(joints, n=n, axis=0)) / period**n / most).max()) for n, most in enumerate(limits, 1)]
+    assert max(used) <= 1.0
+    assert max(*used, speed / given.limits.tool_speed) > 0.3, "no slower than it has to be"
+    assert acceleration > 0.0
 
 
 def test_movep_blends_over_at_most_half_of_either_line_and_follows_the_path(tmp_path: Path) -> None:
@@ -270,6 +300,9 @@ def test_other_files_hold_the_same_samples(tmp_path: Path) -> None:
     table = np.genfromtxt(tmp_path / "rtde.csv", names=True)
     joints = np.stack([table[f"target_q_{index}"] for index in range(6)], axis=1)
     np.testing.assert_allclose(joints, given.motion.joints, atol=1e-9)
+    for name, values in (("target_qd", given.motion.velocities), ("target_qdd", given.motion.accelerations)):
+        told_values = np.stack([table[f"{name}_{index}"] for index in range(6)], axis=1)
+        np.testing.assert_allclose(told_values, values, atol=1e-9)
     tool = np.stack([table[f"target_TCP_pose_{index}"] for index in range(6)], axis=1)
     there = pose.make(tool[:, :3], pose.from_rotation_vector(tool[:, 3:]))
     assert pose.position_distance(there, given.motion.poses).max() < 1e-8
@@ -311,6 +344,12 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     config = load_config(
         "program.urscript=movep", "program.formats=[urscript,rtde,robomimic]", f"guard.person={person}"
     )
+    with monkeypatch.context() as patch:
+        refusing = MagicMock(side_effect=WorkFailedError("no"))
+        patch.setitem(command._WRITERS, "robomimic", ("program.hdf5", refusing))
+        with pytest.raises(WorkFailedError):
+            export_program(config, run, out)
+        assert not list(out.iterdir()), "what was written before is not left behind"
     result = export_program(config, run, out)
     report = ProgramFile.model_validate_json((out / "program.json").read_text())
     assert report.model_dump(mode="json") == result.result
@@ -325,3 +364,16 @@ def test_the_command_writes_every_file_it_names(tmp_path: Path, monkeypatch: pyt
     assert report.smoothing_mm <= 2.0
     assert report.separation is not None
     assert report.separation.margin_m == report.separation.distance_m - report.separation.required_m
+
+
+def test_formats_are_named_once(tmp_path: Path) -> None:
+    with pytest.raises(BadInputError, match=r"must name each format once, found \[rtde, urscript, rtde\]"):
+        export_program(load_config("program.formats=[rtde,urscript,rtde]"), tmp_path, tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["UR5\ntextmsg(1)", "a\u2028b", "", "\x85"])
+def test_the_name_of_an_arm_is_no_line_of_a_program(name: str) -> None:
+    arm = shelf().arm
+    assert isinstance(arm, URArm)
+    with pytest.raises(ValueError, match="name"):
+        URArm.model_validate({**described(arm), "name": name})

@@ -60,6 +60,22 @@ def test_the_room_is_no_larger_than_the_distance_between_tool_and_furniture(work
     assert near > 20
 
 
+def test_the_room_to_the_floor_is_no_larger_than_the_distance(workcell: Workcell) -> None:
+    scene, most = workcell.scene, 0.02
+    model, floor = scene.model, scene.model.geom("floor").id
+    moving = [i for i in np.flatnonzero(model.geom_contype > 0) if model.geom_bodyid[i]]
+    near = 0
+    # Out over nothing but the floor, lower and lower.
+    for lift in np.linspace(0.8, 0.9, 100):
+        joints = np.array([-1.5, lift, 0.3, 0.0, 0.0, 0.0])
+        scene.place(joints)
+        between = min(mujoco.mj_geomDistance(model, scene.data, each, floor, most, None) for each in moving)
+        if 0.0 < between < most:
+            assert scene.rooms(joints, most)[1] <= between + 1e-6
+            near += 1
+    assert near > 3
+
+
 def test_mujoco_finds_the_flange_where_a_batch_of_inverses_was_to_bring_it(workcell: Workcell, arm: URArm) -> None:
     rng = np.random.default_rng(1)
     targets = arm.forward(rng.uniform(-2 * np.pi, 2 * np.pi, (200, 6)))

@@ -63,6 +63,19 @@ def test_speed_is_that_toward_the_person() -> None:
     assert (separation(shelf().scene, np.tile(joints[:1], (5, 1)), times[:5], PERSON).speed_m_s < 1e-9).all()
 
 
+def test_an_arm_that_comes_nearer_is_fast_and_one_that_leaves_is_not() -> None:
+    joints, times = np.tile(np.array(shelf().arm.home), (21, 1)), np.linspace(0.0, 1.0, 21)
+    joints[:, 0] = np.linspace(0.0, 0.6, 21)
+    x, y, *_ = shelf().arm.forward(joints[:1])[0]
+    # The arm swings toward where the person stands: every part of it comes nearer.
+    beside = np.arctan2(y, x) + 1.4
+    person = PERSON.model_copy(update={"position_m": (1.5 * np.cos(beside), 1.5 * np.sin(beside), 0.3)})
+    nearer, leaving = (separation(shelf().scene, rows, times, person) for rows in (joints, joints[::-1]))
+    assert nearer.speed_m_s[1:-1].min() > 0.1
+    # But for the shoulder's own width.
+    assert leaving.speed_m_s.max() < 0.02
+
+
 def test_the_report_is_of_the_worst_moment() -> None:
     joints, times = motion()
     found = separation(shelf().scene, joints, times, PERSON)

@@ -2,7 +2,9 @@
 
 import os
 import pty
+import select
 import sys
+import termios
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
@@ -145,6 +147,21 @@ def test_without_the_flag_nothing_is_sent(run: Path, tmp_path: Path) -> None:
     assert report.model_dump(mode="json") == result.result
     assert (report.moved, report.sent, report.samples, report.host) == (False, 0, 59, HOST)
     assert result.exit_status == 0
+
+
+@pytest.mark.parametrize("key", [b"a", b"\x03", b"\x11", b"\x13", b"\x16", b"\x1a", b"\x1c"])
+def test_every_key_is_seen_and_the_terminal_is_as_before(monkeypatch: pytest.MonkeyPatch, key: bytes) -> None:
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "r") as terminal:
+        before = termios.tcgetattr(theirs)
+        monkeypatch.setattr(sys, "stdin", terminal)
+        with command._any_key() as pressed:
+            assert not pressed()
+            os.write(ours, key)
+            assert select.select([theirs], [], [], 5.0)[0]
+            assert pressed()
+        assert termios.tcgetattr(theirs) == before
+    os.close(ours)
 
 
 def test_with_the_flag_the_arm_moves_and_a_key_at_the_terminal_stops_it(

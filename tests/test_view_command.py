@@ -18,7 +18,7 @@ from koopdqn.app.commands.configuration import Configuration
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.overrides import prepare
 from koopdqn.demonstrations.csv import write_csv
-from koopdqn.demonstrations.hdf5 import read_hdf5
+from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.view.page import Shown
 
@@ -46,6 +46,14 @@ def test_a_run_is_shown_with_its_starts_and_demonstrations(run: Path, tmp_path: 
     assert len(content["tracks"]) == 3
     assert content["trust"]["faces"]
     assert {geom["name"] for geom in content["scene"]["geoms"]} >= {"bottle_body", "floor"}
+
+
+def test_a_film_chooses_among_all_demonstrations(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    film = MagicMock()
+    monkeypatch.setattr("koopdqn.app.commands.pipeline.film", film)
+    monkeypatch.setattr(view, "_FOLLOWED", 1)
+    assert cli.main(["view", f"run={run}", "view.starts=1", f"video={tmp_path}/a.gif", f"out={tmp_path}/page"]) == 0
+    assert len(film.call_args.args[3]) == 3
 
 
 def test_the_trust_shown_has_what_answers_added(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,6 +92,20 @@ def test_recordings_of_no_known_task_are_shown_with_the_arm_alone(run: Path, tmp
     assert {geom["name"] for geom in content["scene"]["geoms"] if geom["link"] < 0} >= {"floor", "pedestal"}
     assert "bottle_body" not in {geom["name"] for geom in content["scene"]["geoms"]}
     assert all(len(motion["links"]) == len(motion["frames"]) for motion in content["motions"])
+
+
+def test_the_task_that_a_file_names_is_an_option_and_nothing_else(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.yaml").write_text("name: evil\ntarget: evil.Task\n")
+    (tmp_path / "evil.py").write_text("import pathlib\npathlib.Path('EXECUTED').touch()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    up = "../" * 20
+    named = replace(read_hdf5(run / "demos.hdf5"), task=f"{up}{tmp_path.relative_to('/')}/evil")
+    write_hdf5(tmp_path / "demos.hdf5", named)
+    assert cli.main(["view", "demos=demos.hdf5", "out=page"]) == 0
+    assert not (tmp_path / "EXECUTED").exists()
 
 
 def test_recordings_out_of_reach_are_shown_without_the_arm(run: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The page opens from disk with the network off, animates a motion, and its slider moves the arm."""
 
+import json
 import re
 import shutil
 import subprocess
@@ -49,6 +50,15 @@ def test_a_title_cannot_end_the_script(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert "a &lt;/script&gt; title" in text
     assert text.count("</script>") == 3
+
+
+def test_no_text_opens_a_comment_or_a_script_within_the_pages_data() -> None:
+    baked = re.findall(
+        r'id="baked">(.*?)</script>', render({**shown().content(), "title": "a<!--<script>b"}), re.DOTALL
+    )
+    assert len(baked) == 1
+    assert "<" not in baked[0]
+    assert json.loads(baked[0])["title"] == "a<!--<script>b"
 
 
 def test_the_same_content_gives_the_same_page() -> None:

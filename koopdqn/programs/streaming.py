@@ -131,7 +131,7 @@ def _watched(link: Connection, host: str, stop: Callable[[], bool]) -> Streamed:
 def _deliver(host: str, period: float, joints: np.ndarray, link: Connection) -> None:
     """Send samples (N, 6) [rad] in their own time, asking before each whether to stop, and say what came of it."""
     # Keys and signals are the other process's to see.
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP):
         signal.signal(number, signal.SIG_IGN)
     # A link that ends says that the other process did.
     with contextlib.suppress(EOFError, ConnectionError):

@@ -131,14 +131,14 @@ class Motion:
 
     @property
     def velocities(self) -> Array:
-        """Joint speeds (N, 6) [rad/s], by central differences."""
+        """Joint speeds (N, 6) [rad/s], by central differences, and at rest in the first and the last sample."""
         rested = _rested(self.joints, 1)
-        return np.asarray((rested[2:] - rested[:-2]) / (2.0 * self.period))
+        return _at_rest((rested[2:] - rested[:-2]) / (2.0 * self.period))
 
     @property
     def accelerations(self) -> Array:
-        """Joint accelerations (N, 6) [rad/s²], by central differences."""
-        return np.asarray(np.diff(_rested(self.joints, 1), n=2, axis=0) / self.period**2)
+        """Joint accelerations (N, 6) [rad/s²], by central differences, and 0 in the first and the last sample."""
+        return _at_rest(np.diff(_rested(self.joints, 1), n=2, axis=0) / self.period**2)
 
     def used(self, limits: Limits) -> dict[str, Array]:
         """Return the share of each limit that the motion uses between samples, the rest before and after included.
@@ -196,9 +196,13 @@ def timed(joints: Array, forward: Forward, limits: Limits, period: float) -> Mot
 def steady(joints: Array, forward: Forward, limits: Limits) -> tuple[float, float]:
     """Return the speed [m/s] and acceleration [m/s²] of the flange that keep the limits anywhere on rows (M, 6).
 
+    The speed is held all along, as it is by ``movep``.
+
     Raises:
         WorkFailedError: the path turns in place, or back, somewhere.
     """
+    from scipy.interpolate import PchipInterpolator
+
     path = _Path(joints, forward, limits)
     if path.tool.min() < _TURNING * path.tool.max():
         row = int(path.grid[path.tool.argmin()])
@@ -206,6 +210,10 @@ def steady(joints: Array, forward: Forward, limits: Limits) -> tuple[float, floa
             f"movep needs a path that stops nowhere, found it turning in place, or back, after {row} of"
             f" {len(joints) - 1} steps: program.urscript=servoj writes it"
         )
+    # At one speed rows pass evenly that lie evenly along the flange's way, as near together as the nearest of these.
+    way = np.append(0.0, np.cumsum(0.5 * (path.tool[1:] + path.tool[:-1]) * np.diff(path.grid)))
+    even = np.linspace(0.0, way[-1], 1 + int(np.ceil(way[-1] / path.tool.min())))
+    path = _Path(path.at(PchipInterpolator(way, path.grid)(even)), forward, limits)
     return float((path.ceiling * path.tool).min()), float((path.acceleration * path.tool).min())
 
 
@@ -284,6 +292,12 @@ def _spread(grid: Array, rows: Array, factors: Array, reach: int) -> Array:
     from scipy.ndimage import maximum_filter1d
 
     return np.asarray(np.interp(grid, rows, maximum_filter1d(factors, 2 * reach + 1)))
+
+
+def _at_rest(values: Array) -> Array:
+    """Return values (N, 6) with zeros at both ends, which controllers ask of where a motion ends."""
+    values[[0, -1]] = 0.0
+    return values
 
 
 def _rested(joints: Array, count: int) -> Array:

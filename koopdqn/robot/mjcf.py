@@ -14,7 +14,7 @@ from koopdqn.pose import Array
 from koopdqn.robot.arm import Arm, InverseResult, check_limits, unwrapped_batch
 from koopdqn.robot.chain import Chain, ClosedForm
 from koopdqn.robot.model import Model, read_model
-from koopdqn.settings import TARGET, Floats, Name, Names, PathText, Positive, Settings, load_settings
+from koopdqn.settings import TARGET, Floats, Line, Name, Names, PathText, Positive, Settings, load_settings
 
 _SAME_RAD: Final = 1e-3
 """Solutions nearer than that are one."""
@@ -36,7 +36,7 @@ class MjcfArm(Settings):
     # Where it lies is of this machine: artifacts hold the file's SHA-256 instead.
     path: PathText = Field(exclude=True)
     site: Name
-    name: Name
+    name: Line
     sha256: Name
     joint_names: Names
     joint_lower: Floats

@@ -227,9 +227,9 @@ class Scene:
         self._site = model.site(prefix + arm.flange_site).id
         names = [model.geom(i).name for i in range(model.ngeom)]
         self._payload = [i for i, name in enumerate(names) if "payload_" in name]
-        fixed = [i for i in range(model.ngeom) if model.geom_bodyid[i] == 0 and model.geom_contype[i]]
-        self._furniture = [i for i in fixed if names[i] != _FLOOR]
-        self._obstacles = {i for i in fixed if names[i].startswith(_OBSTACLE_NAMES)}
+        self._fixed = [i for i in range(model.ngeom) if model.geom_bodyid[i] == 0 and model.geom_contype[i]]
+        self._furniture = [i for i in self._fixed if names[i] != _FLOOR]
+        self._obstacles = {i for i in self._fixed if names[i].startswith(_OBSTACLE_NAMES)}
         # Of every geom, the distance [m] nearer than which it counts as touched.
         self._clearances = model.geom_gap.copy()
         self._clears = bool(self._clearances.any())
@@ -286,12 +286,12 @@ class Scene:
         At most ``most`` each. Negative where something touches, or is nearer to an obstacle than its clearance.
         """
         self.place(joints)
-        self.model.geom_gap[self._furniture] = self._clearances[self._furniture] + most
+        self.model.geom_gap[self._fixed] = self._clearances[self._fixed] + most
         # Its trees of boxes are made when the model is compiled, with the gaps of then.
         self.model.opt.disableflags |= _MIDPHASE
         mujoco.mj_collision(self.model, self.data)
         self.model.opt.disableflags &= ~_MIDPHASE
-        self.model.geom_gap[self._furniture] = self._clearances[self._furniture]
+        self.model.geom_gap[self._fixed] = self._clearances[self._fixed]
         rooms = [most, most]
         for contact in self.data.contact if self.data.ncon else ():
             first, second = contact.geom

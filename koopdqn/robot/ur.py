@@ -19,7 +19,7 @@ from pydantic import model_validator
 from koopdqn.pose import Array, normalized
 from koopdqn.resources import asset_path
 from koopdqn.robot.arm import TURN, InverseResult, check_limits, unwrapped, unwrapped_batch
-from koopdqn.settings import Name, Names, Positive, Settings, Vector6
+from koopdqn.settings import Line, Name, Names, Positive, Settings, Vector6
 
 Scalars = tuple[float, ...]
 """Joint angles (6,) [rad], or a pose (7,): x, y, z [m] and the unit quaternion w, x, y, z. Faster than arrays here."""
@@ -71,7 +71,7 @@ class URArm(Settings):
             a range of angles is empty or does not hold home, or a speed or torque limit is not positive.
     """
 
-    name: Name
+    name: Line
     asset: Name
     joint_names: Names
     flange_site: Name

@@ -185,7 +185,10 @@ def _why(evaluation: ActionEvaluation, row: int, action: int, feedback: Feedback
         allowed = legal_actions(feedback.reward.task)[action]
         return "it changes nothing here" if allowed else "the orientation is held"
     if source == REMEMBERED:
-        return _answered(feedback, feedback.answers.numbers.index(evaluation.answer[row, action]), here)
+        # A better action has the number of the answer that named it.
+        answers, number = feedback.answers, evaluation.answer[row, action]
+        told = zip(answers.numbers, answers.actions, strict=True)
+        return _answered(feedback, next(i for i, each in enumerate(told) if each == (number, action)), here)
     if source == CERTIFIED:
         yes = [index for index, right in enumerate(feedback.answers.right) if right]
         gaps = [float(pose.position_distance(np.array(feedback.answers.poses[index]), there)) for index in yes]

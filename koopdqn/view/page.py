@@ -114,8 +114,8 @@ def render(content: Mapping[str, Any]) -> str:
     environment = Environment(
         autoescape=True, loader=PackageLoader("koopdqn", "view"), undefined=StrictUndefined, trim_blocks=True
     )
-    # Within a script element no text may end it.
-    baked = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    # Within a script element no text may end it, nor begin another.
+    baked = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return environment.get_template("page.html.j2").render(
         title=content["title"],
         lines=content["lines"],

@@ -132,8 +132,7 @@ def _flat(node: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
         if isinstance(value, Mapping):
             found |= _flat(value, f"{prefix}{key}.")
         else:
-            text = json.dumps(value, ensure_ascii=False, default=str)
-            found[f"{prefix}{key}"] = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+            found[f"{prefix}{key}"] = json.dumps(value, ensure_ascii=False, default=str)
     return found
 
 
@@ -190,9 +189,13 @@ def _told(each: _Run, motions: Sequence[Motion]) -> ComparedRun:
 
 
 def _config_listing(differences: Sequence[Difference], runs: Sequence[_Run]) -> Listing:
-    rows = [(each.key, *(value or "–" for value in each.values)) for each in differences]
+    rows = [(each.key, *(_shortened(value or "–") for value in each.values)) for each in differences]
     count = console.counted(len(rows), "difference") if rows else "no difference"
     return Listing(f"Config: {count}", ("key", *(each.label for each in runs)), rows)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
 def _result_listing(found: Sequence[ComparedRun], starts: int) -> Listing:

@@ -4,6 +4,7 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -46,10 +47,15 @@ def export_program(config: Configuration, run: Path, folder: Path) -> CommandRes
     _check_formats(config)
     program, scene = program_of(config, run)
     files: dict[str, str] = {}
-    for name in settings.formats:
-        file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
-        write(folder / file, program)
-        files[name] = file
+    # All or none: what one writer refuses leaves nothing of the others.
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".", dir=folder) as unfinished:
+        for name in settings.formats:
+            file, write = _WRITERS["movep" if name == "urscript" and settings.urscript == "movep" else name]
+            write(Path(unfinished) / file, program)
+            files[name] = file
+        for file in files.values():
+            (Path(unfinished) / file).rename(folder / file)
     report = _report(program, files, run / POLICY, settings, _near(scene, program, config)).model_dump(mode="json")
     write_json(folder / REPORT, report)
     from koopdqn.plots.program import plot_program
@@ -102,6 +108,8 @@ def program_of(config: Configuration, run: Path) -> tuple[Program, Scene]:
 
 def _check_formats(config: Configuration) -> None:
     asked = config.program.formats
+    if len(set(asked)) < len(asked):
+        raise BadInputError(f"program.formats: must name each format once, found [{', '.join(asked)}]")
     if not isinstance(config.robot, URArm) and set(asked) & set(_OF_THE_FAMILY):
         possible = ", ".join(name for name in _WRITERS if name not in (*_OF_THE_FAMILY, "movep"))
         raise BadInputError(
@@ -244,6 +252,11 @@ def _any_key() -> Iterator[Callable[[], bool]]:
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal)
+    # Ctrl-C, Ctrl-S, Ctrl-Z and others are keys then like any.
+    mode = termios.tcgetattr(terminal)
+    mode[0] &= ~termios.IXON
+    mode[3] &= ~(termios.ISIG | termios.IEXTEN)
+    termios.tcsetattr(terminal, termios.TCSANOW, mode)
     # What was typed ahead stops nothing.
     termios.tcflush(terminal, termios.TCIFLUSH)
     try:

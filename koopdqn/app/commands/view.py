@@ -25,6 +25,7 @@ from koopdqn.view.page import Shown, write_page
 from koopdqn.view.window import KEYS, check_display, watch
 
 _FOLLOWED: Final = 12
+_MADE_FROM_FILES: Final = "demonstrated"
 """Demonstrations that the arm follows; further ones are drawn as lines."""
 
 
@@ -67,14 +68,16 @@ def _of_run(config: Configuration, source: Path) -> Shown:
             cell, run.policy, feedback, config.eval, starts, run.step_limit, referred=run.referred
         )
         clear = cell.without_obstacles().reachability
-        shown = demonstrated_motions(run.demonstrations.items, clear, config.task, _FOLLOWED)
+        # A film shows the one of all that begins nearest.
+        followed = _FOLLOWED if config.view.video is None else len(run.demonstrations)
+        shown = demonstrated_motions(run.demonstrations.items, clear, config.task, followed)
     return Shown(
         f"koopdqn: task {config.task.name}",
         (
             f"run {console.shown_path(source)}",
             f"{len(run.demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
             f"rule: {config.task.rule}",
-            *_first_of(len(run.demonstrations)),
+            *_first_of(len(run.demonstrations), followed),
             *(" ".join(remark) for remark in run.beside),
             *(f"{motion.name}: {motion.remark}" for motion in learned if motion.fails),
         ),
@@ -116,15 +119,17 @@ def _of_demonstrations(config: Configuration, folder: Path) -> Shown:
     )
 
 
-def _first_of(count: int) -> list[str]:
-    return [f"the arm follows the first {_FOLLOWED} of {count} demonstrations"] if count > _FOLLOWED else []
+def _first_of(count: int, followed: int = _FOLLOWED) -> list[str]:
+    return [f"the arm follows the first {followed} of {count} demonstrations"] if count > followed else []
 
 
 def _task_of(config: Configuration, name: str | None) -> Task | None:
     """Return the task that was given, or the one of a name that files say; None where koopdqn does not know it."""
     if isinstance(config.chosen, Task):
         return config.chosen
-    if name in (None, config.chosen.name) or not (conf_dir() / "task" / f"{name}.yaml").is_file():
+    # The name is a file's own text: nothing but an option of koopdqn's may come of it.
+    known = {option.stem for option in (conf_dir() / "task").glob("*.yaml")} - {_MADE_FROM_FILES}
+    if name not in known:
         return None
     unscaled = Configuration.load(composed([f"task={name}", "out=unused"])).task
     return scaled(unscaled, config.robot)
