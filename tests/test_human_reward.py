@@ -18,6 +18,8 @@ from helpers_training import (
 from parts import Clerk, Parts
 
 from koopdqn import pose
+from koopdqn.app.api import load_config
+from koopdqn.errors import BadInputError
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Answer, Oracle, Question
 from koopdqn.oracles.replay import JournalledOracle
@@ -27,6 +29,7 @@ from koopdqn.rl.algorithm1 import Trainer
 from koopdqn.rl.checkpoint import read_checkpoint, save_checkpoint
 from koopdqn.rl.human_reward import Feedback
 from koopdqn.rl.labelling import label_known
+from koopdqn.rl.questions import OpenAttempt, question_about
 from koopdqn.tasks.workcell import COLLISION, Motion, Workcell
 
 Make = Callable[..., Trainer]
@@ -500,3 +503,50 @@ def test_what_an_answer_would_settle_leaves_out_what_demonstrations_speak_of(
     for trust, settled in ((trainer.feedback._base.trust, True), (doubted, False)):
         trainer.feedback._base = IntentReward(reward.task, reward.model, trust, reward.settings)
         assert trainer.feedback.extension_contains(here[None], here, 0) == settled
+
+
+def asked_at(reward: IntentReward, *answers: Answer) -> tuple[Feedback, list[Question]]:
+    """Ask about places above the start, one after the other, for answers; return the feedback and the questions."""
+    clerk = Clerk()
+    feedback = Feedback(untrusting(reward), Scripted(clerk, dict(enumerate(answers))), load_config().feedback)
+    start, questions = reward.task.nominal_start, []
+    for index, _ in enumerate(answers):
+        here = start + np.array([0.0, 0.0, 0.2 * index, 0.0, 0.0, 0.0, 0.0])
+        evaluation = feedback.evaluate_actions(here[None], np.zeros(1, dtype=np.int64), start[None])
+        questions.append(question_about(OpenAttempt(0, index, here, start, 6), feedback.reward, evaluation, 0))
+        feedback.ask(questions[-1], evaluation, 0)
+    return feedback, questions
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (Answer(True, "x", better=8), "right: must be true exactly if the better action is the one asked about"),
+        (Answer(None, "x", undo=-1), "undo: must be 0 to 1, the answers that stand, found -1"),
+        (Answer(None, "x", undo=2), "undo: must be 0 to 1, the answers that stand, found 2"),
+    ],
+)
+def test_an_oracle_from_python_is_held_to_what_an_answer_may_say(
+    reward: IntentReward, answer: Answer, words: str
+) -> None:
+    with pytest.raises(BadInputError, match=words):
+        asked_at(reward, Answer(False, "x"), answer)
+
+
+def test_a_question_in_a_trusted_place_says_why_it_is_asked(reward: IntentReward) -> None:
+    here = reward.task.nominal_start[None]
+    evaluation = reward.evaluate_actions(here, np.zeros(1, dtype=np.int64), here)
+    attempt = OpenAttempt(0, 0, here[0], here[0], 6)
+    assert question_about(attempt, reward, evaluation, 0).reason == "the prediction is too near the tolerance"
+    evaluation.source[0, 6] = CERTIFIED
+    assert question_about(attempt, reward, evaluation, 0).reason == "answers nearby leave no other action"
+
+
+def test_an_undo_takes_away_what_a_step_into_reach_had_certified(
+    reward: IntentReward, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feedback, _ = asked_at(reward, Answer(True, "x"))
+    reaches: list[float] = []
+    monkeypatch.setattr(Feedback, "_recompute", lambda self, poses, beyond=0.0: reaches.append(beyond))
+    feedback._withdraw(1)
+    assert reaches == [reward.task.step_m]

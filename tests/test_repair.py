@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from parts import Clerk
@@ -7,12 +8,14 @@ from questions import question, written
 from small_run import SMALL
 
 from koopdqn.app import cli
+from koopdqn.app.api import load_config
 from koopdqn.errors import BadInputError
 from koopdqn.oracles import repair
 from koopdqn.oracles.base import Answer
 from koopdqn.oracles.journal import read_lines, read_records
 from koopdqn.oracles.repair import summarise
 from koopdqn.oracles.replay import JournalledOracle
+from koopdqn.tasks.workcell import Workcell
 
 
 def journal(folder: Path, teacher: str, rights: list[bool | None]) -> Path:
@@ -211,3 +214,65 @@ def test_without_a_subcommand_the_help_is_all(capsys: pytest.CaptureFixture[str]
     told = capsys.readouterr()
     assert "merge" in told.out
     assert not told.err
+
+
+def test_an_edited_answer_that_is_what_it_was_again_is_what_the_run_learned_from(tmp_path: Path) -> None:
+    path = journal(tmp_path, "anna", [True, True])
+    change(path, 0, "wrong", learned=1)
+    change(path, 0, "right", learned=1)
+    assert JournalledOracle(Clerk(), path, 1).caught_up is False
+    change(path, 0, "2", learned=1)
+    with pytest.raises(BadInputError, match="answer 0 must be the one"):
+        JournalledOracle(Clerk(), path, 1)
+
+
+def test_a_new_run_goes_on_from_an_edited_journal(
+    tmp_path: Path, workcell: Workcell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # There is no terminal here.
+    monkeypatch.setattr("koopdqn.oracles.terminal.oracle.TerminalOracle", MagicMock())
+    path, folder = journal(tmp_path, "anna", [True, True]), tmp_path / "run"
+    folder.mkdir()
+    change(path, 0, "wrong", learned=2)
+    settings = load_config("oracle=terminal", f"journal={path}").oracle
+    settings.open(workcell, 0, folder)
+    assert [item.line.right for item in read_records(folder / "feedback.jsonl").items] == [False, True]
+    # As after its first checkpoint.
+    assert JournalledOracle(Clerk(), folder / "feedback.jsonl", 2).questions == 2
+
+
+def test_who_is_overruled_keeps_a_voice_in_any_order(tmp_path: Path) -> None:
+    no: list[bool | None] = [True, True, True, False]
+    yes: list[bool | None] = [True] * 4
+    paths = {name: journal(tmp_path, name, no if name in "ade" else yes) for name in "abcde"}
+    at_once, first, in_two = (tmp_path / f"{name}.jsonl" for name in ("once", "first", "two"))
+    repair.merge(list(paths.values()), at_once)
+    repair.merge([paths[name] for name in "abc"], first)
+    assert [item.line.right for item in read_records(first).items] == yes
+    (pair,) = (each for each in summarise([read_records(first)]).agreement if (each.one, each.other) == ("a", "b"))
+    assert (pair.questions, pair.same) == (4, 3)
+    repair.merge([first, paths["d"], paths["e"]], in_two)
+    others = tmp_path / "others.jsonl"
+    repair.merge([paths["a"], first, paths["d"], paths["e"]], others)
+    for path in (at_once, in_two, others):
+        assert [item.line.right for item in read_records(path).items] == no
+
+
+def test_what_was_withdrawn_is_not_merged(tmp_path: Path) -> None:
+    path = tmp_path / "feedback.jsonl"
+    written(path, [Answer(False, "anna"), Answer(True, "anna", undo=1)])
+    others = [journal(tmp_path, name, [True, True]) for name in ("bert", "cleo")]
+    assert repair.merge([path, *others], tmp_path / "merged.jsonl").changed == 0
+
+
+def test_a_faulty_line_is_told_by_its_place_in_the_file(tmp_path: Path) -> None:
+    path = journal(tmp_path, "anna", [True, True])
+    path.write_text("\n\n" + path.read_text().replace('"number": 1', '"number": 9'))
+    with pytest.raises(BadInputError, match=r"line 4: answers must be numbered in order"):
+        read_records(path)
+
+
+def test_a_journal_without_answers_has_none_to_edit(tmp_path: Path) -> None:
+    (tmp_path / "feedback.jsonl").touch()
+    with pytest.raises(BadInputError, match="found 0, and a journal without answers"):
+        change(tmp_path / "feedback.jsonl", 0, "right")

@@ -20,7 +20,9 @@ class Augmentation(Settings):
     copies: int = Field(ge=0, le=100, description="augmented states near each demonstrated one; 0 for none")
     near_m: float = Field(gt=0, description="standard deviation of a near state's sideways offset [m]")
     far_copies: int = Field(ge=0, le=100, description="augmented states far from each demonstrated one; 0 for none")
-    far: float = Field(gt=0, description="largest distance of a far state, in units of the demonstrations' spread")
+    far: float = Field(
+        gt=0, description="largest standard deviation of far states along an axis, in demonstrations' spreads"
+    )
     far_weight: float = Field(gt=0, le=1, description="weight of a far pair; a demonstrated one has weight 1")
     pull_back_m: float = Field(gt=0, description="distance over which an augmented pair leads back [m]")
     touching_m: float = Field(
@@ -95,10 +97,10 @@ def augmented(trajectories: list[Array], spread: float, settings: Augmentation) 
     """Return the pairs of position trajectories (N, 3) [m] and the augmented ones around them.
 
     A near state lies beside a demonstrated one, at right angles to the motion. A far one lies in any direction from
-    it, at a distance drawn log-uniformly up to ``far`` times the demonstrations' ``spread`` [m]. Each leads back to its
-    own demonstration, so that where several pass the model leads to their mean. Where a demonstration passes an earlier
-    part of itself in another direction, only the later part counts: a model of states cannot follow both, and one that
-    averages them stands still or circles.
+    it, offset along each axis by a standard deviation drawn log-uniformly up to ``far`` times the demonstrations'
+    ``spread`` [m]. Each leads back to its own demonstration, so that where several pass the model leads to their mean.
+    Where a demonstration passes an earlier part of itself in another direction, only the later part counts: a model of
+    states cannot follow both, and one that averages them stands still or circles.
     """
     rng = np.random.default_rng(settings.seed)
     found: list[Pairs] = []

@@ -91,7 +91,7 @@ class TrustCoverage(ReportModel):
     largest_radius_m: Positive | None = Field(description="its largest radius [m]")
     radius_rad: Positive | None = Field(description="median radius of orientations; null for a box [rad]")
     spread_m: NonNegative | None = Field(
-        description="median along the path of the demonstrations' RMS distance from their mean [m]"
+        description="median along the path of the standard deviation of the demonstrations about their mean [m]"
     )
     known_share: Fraction = Field(description="share of the domain's places that are trusted")
     least_right: Fraction = Field(description="stated share of right signs (`trust.least_right`)")

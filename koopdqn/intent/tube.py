@@ -104,7 +104,7 @@ class Middle:
 
     Attributes:
         poses: (S, 7) along the mean.
-        gap: (S, 2) [m, rad] RMS distance of the demonstrations' positions and orientations from it.
+        gap: (S, 2) [m, rad] standard deviation (n − 1) of the demonstrations' positions and orientations from it.
         spread: (S, 2) [m, rad] the same averaged along the path, not below its floor: the unit of scores.
     """
 

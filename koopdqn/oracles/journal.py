@@ -3,6 +3,7 @@
 import json
 import os
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from pathlib import Path
@@ -99,7 +100,7 @@ class Record:
         undo: how many earlier answers were withdrawn before it stood.
         withdrawn: whether it was withdrawn later.
         edited: whether it was changed later.
-        learned: whether the run had learned from it before it was changed.
+        learned: right and better action as the run had learned them before they were changed; None if it had not.
         opinions: what other teachers say to its question.
     """
 
@@ -107,7 +108,7 @@ class Record:
     undo: int = 0
     withdrawn: bool = False
     edited: bool = False
-    learned: bool = False
+    learned: tuple[bool | None, int | None] | None = None
     opinions: tuple[OpinionLine, ...] = ()
 
     @property
@@ -149,6 +150,15 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
     """Return the lines of a journal as JSON objects; a last line cut off by a crash is left out.
 
     Raises:
+        BadInputError: as of :func:`numbered_lines`.
+    """
+    return [item for _, item in numbered_lines(path)]
+
+
+def numbered_lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield the lines of a journal as JSON objects, each with its number from 1, which counts empty ones too.
+
+    Raises:
         BadInputError: the file cannot be read, is too large, or a line before the last is no JSON object.
     """
     try:
@@ -161,7 +171,6 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
             lines = [line.rstrip(b"\n") for line in file if line.endswith(b"\n")]
     except OSError as error:
         raise BadInputError(f"journal {path}: must be a readable file, the system says: {error.strerror}") from error
-    found = []
     for number, line in enumerate(lines, start=1):
         if not line:
             continue
@@ -171,8 +180,17 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
                 raise ValueError("no JSON object")
         except ValueError as error:
             raise BadInputError(f"journal {path}: line {number} must be a JSON object, found: {error}") from error
-        found.append(item)
-    return found
+        yield number, item
+
+
+def copy_answers(path: Path, out: Path) -> None:
+    """Write what a journal holds to a new file for another run, which has learned from none of it yet.
+
+    Raises:
+        BadInputError: as of :func:`read_lines`.
+    """
+    items = (item | ({"learned": False} if item.get("kind") == "edit" else {}) for item in read_lines(path))
+    out.write_text("".join(json.dumps(item, sort_keys=True) + "\n" for item in items), encoding="utf-8")
 
 
 def read_records(path: Path) -> Records:
@@ -182,7 +200,7 @@ def read_records(path: Path) -> Records:
         BadInputError: the file cannot be read, or a line is damaged, out of order or of no answer.
     """
     reader = _Reader()
-    for number, item in enumerate(read_lines(path), start=1):
+    for number, item in numbered_lines(path):
         if item.get("kind") not in _KINDS:
             continue
         try:
@@ -261,7 +279,9 @@ class _Reader:
                 before = self._at(line.number)
                 changes = {"right": line.right, "better": line.better, "source": line.source}
                 answer = before.line.model_copy(update=changes)
-                learned = before.learned or line.learned
+                learned = before.learned
+                if learned is None and line.learned:
+                    learned = before.line.right, before.line.better
                 self._items[line.number] = replace(before, line=answer, edited=True, learned=learned)
                 self._may_be_withdrawn(answer)
             case OpinionLine():

@@ -1,6 +1,5 @@
 """Repairing journals: answers changed afterwards, journals of several teachers merged, and their agreement."""
 
-import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -21,6 +20,7 @@ from koopdqn.oracles.journal import (
     OpinionLine,
     Record,
     Records,
+    copy_answers,
     read_records,
 )
 from koopdqn.settings import Fraction, Name, NonNegative, NonNegativeInt, ReportModel
@@ -96,6 +96,8 @@ def edit(path: Path, number: int, text: str, teacher: str | None, learned: int, 
         BadInputError: the journal is damaged or cannot be written, or has no such answer that stands.
     """
     records = read_records(path)
+    if not records.items:
+        raise BadInputError(f"number: must be that of an answer, found {number}, and a journal without answers")
     if not 0 <= number < len(records.items):
         raise BadInputError(f"number: must be that of an answer, 0 to {len(records.items) - 1}, found {number}")
     # Dropping what is later drops the withdrawal too.
@@ -158,12 +160,15 @@ def merge(paths: Sequence[Path], out: Path) -> Merged:
     edits = [
         edit
         for number, said in found.items()
-        if not _passed_by_undo(first, number) and (edit := _by_majority(first.items[number], said)) is not None
+        if not (_passed_by_undo(first, number) or first.items[number].withdrawn)
+        and (edit := _by_majority(first.items[number], said)) is not None
     ]
+    # Whoever is overruled keeps their voice.
+    overruled = [_opinion(item) for edit in edits if (item := first.items[edit.number]).line.source != edit.source]
     with atomic_path(out) as temporary:
-        shutil.copyfile(paths[0], temporary)
+        copy_answers(paths[0], temporary)
         with closing(JournalFile(temporary)) as file:
-            for line in [*chain.from_iterable(found.values()), *edits]:
+            for line in [*chain.from_iterable(found.values()), *overruled, *edits]:
                 file.append(line)
     return Merged(len(first.items), sum(map(len, found.values())), len(edits), left_out)
 
@@ -178,12 +183,16 @@ def _opinions(first: Records, others: Sequence[Records]) -> tuple[dict[int, list
         if number is None:
             left_out += 1
             continue
-        line = item.line
-        if line.source == first.items[number].line.source:
-            continue
-        opinion = OpinionLine(kind="opinion", number=number, right=line.right, better=line.better, source=line.source)
-        found.setdefault(number, []).append(opinion)
+        own = first.items[number].line.source
+        said = [each.model_copy(update={"number": number}) for each in (*item.opinions, _opinion(item))]
+        if others_said := [each for each in said if each.source != own]:
+            found.setdefault(number, []).extend(others_said)
     return dict(sorted(found.items())), left_out
+
+
+def _opinion(item: Record) -> OpinionLine:
+    line = item.line
+    return OpinionLine(kind="opinion", number=line.number, right=line.right, better=line.better, source=line.source)
 
 
 def _by_majority(item: Record, said: Sequence[OpinionLine]) -> EditLine | None:

@@ -119,7 +119,7 @@ class JournalledOracle(Oracle):
             answer = self._oracle.answer(replace(question, earlier=tuple(self._earlier)))
             try:
                 check_answer(answer, question)
-                _check_said(answer, len(self._earlier), question)
+                check_said(answer, len(self._earlier), question)
             except BadInputError as error:
                 raise BadInputError(f"the answer to question {question.number}: {error}") from error
             undone = [_undo_line(self._earlier.pop(), question) for _ in range(answer.undo)]
@@ -179,7 +179,8 @@ def recorded_answer(record: Record, question: Question, path: Path) -> Answer:
 def _check(path: Path, records: Records, position: int) -> None:
     if len(records.items) < position:
         raise BadInputError(f"journal {path}: must hold the {position} answers of the run, found {len(records.items)}")
-    late = [item.line.number for item in records.items[:position] if item.learned]
+    items = (item for item in records.items[:position] if item.learned is not None)
+    late = [item.line.number for item in items if item.learned != (item.line.right, item.line.better)]
     if late:
         raise BadInputError(
             f"journal {path}: answer {late[0]} must be the one the run has learned from, found it edited afterwards;"
@@ -187,7 +188,8 @@ def _check(path: Path, records: Records, position: int) -> None:
         )
 
 
-def _check_said(answer: Answer, withdrawable: int, question: Question) -> None:
+def check_said(answer: Answer, withdrawable: int, question: Question) -> None:
+    """Raise BadInputError if it withdraws more answers than stand, or its better action belies whether it is right."""
     if not 0 <= answer.undo <= withdrawable:
         raise BadInputError(f"undo: must be 0 to {withdrawable}, the answers that stand, found {answer.undo}")
     if answer.better is not None and answer.right is not (answer.better == question.action):

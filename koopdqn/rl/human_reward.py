@@ -8,7 +8,7 @@ from koopdqn.intent.bend import BentIntent
 from koopdqn.intent.model import IntentModel
 from koopdqn.intent.reward import ASKED, BY_MODEL, NO_ANSWER, REMEMBERED, ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Answer, Asking, Oracle, OracleSettings, Question
-from koopdqn.oracles.replay import check_answer
+from koopdqn.oracles.replay import check_answer, check_said
 from koopdqn.oracles.scripted import ScriptedOracle
 from koopdqn.pose import Array
 from koopdqn.rl.answers import FeedbackSettings, RememberedAnswers
@@ -168,6 +168,7 @@ class Feedback:
         number = self.questions
         answer = self._oracle.answer(replace(question, number=number, left=left))
         check_answer(answer, question)
+        check_said(answer, len(self._standing), question)
         self.questions += 1
         reopened = self._withdraw(answer.undo) if answer.undo else []
         if answer.better is not None:
@@ -230,16 +231,20 @@ class Feedback:
             self._replay.remove(np.isin(self._replay.held().answers, latest))
         if self._settings.extend and about:
             self._extend()
-            self._recompute(np.array([point for point, _ in about]))
+            # What lay within its reach after a step from outside of it was certified too.
+            self._recompute(np.array([point for point, _ in about]), self._base.task.step_m)
         return about
 
-    def _recompute(self, poses: Array) -> None:
-        """Recompute stored rewards of the model near local poses (M, 7); remove those no longer trusted."""
+    def _recompute(self, poses: Array, beyond: float = 0.0) -> None:
+        """Recompute stored rewards of the model near local poses (M, 7); remove those no longer trusted.
+
+        Near is within their reach, and ``beyond`` [m] more.
+        """
         replay = self._replay
         if replay is None:
             return
         held = replay.held()
-        far = np.maximum(self._radii(poses), self._reaches(poses))
+        far = np.maximum(self._radii(poses), self._reaches(poses)) + beyond
         local = self.reward.model.start_frame.to_frame(held.poses, held.starts)
         moved = np.linalg.norm(local[:, None, :3] - poses[None, :, :3], axis=2)
         rows = np.flatnonzero(np.isin(held.sources, BY_MODEL) & (moved <= far).any(axis=1))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from koopdqn import pose
-from koopdqn.intent.reward import ActionEvaluation, IntentReward
+from koopdqn.intent.reward import CERTIFIED, ActionEvaluation, IntentReward
 from koopdqn.oracles.base import Asking, Place, Question
 from koopdqn.pose import Array
 from koopdqn.rl.human_reward import Feedback
@@ -104,6 +104,8 @@ def question_about(
     asked at once.
     """
     local, trust = evaluation.local_reached[row, attempt.action], reward.trust
+    certified = evaluation.source[row, attempt.action] == CERTIFIED
+    unsure = "answers nearby leave no other action" if certified else "the prediction is too near the tolerance"
     candidates = evaluation.reached[row, :FIRST_TWIST].copy()
     return Question(
         episode=attempt.episode,
@@ -113,7 +115,7 @@ def question_about(
         action=attempt.action,
         reached=evaluation.reached[row, attempt.action].copy(),
         predicted=evaluation.predicted[row].copy(),
-        reason=trust.outside(local, attempt.step + 1) or trust.outside(evaluation.local[row], attempt.step),
+        reason=trust.outside(local, attempt.step + 1) or trust.outside(evaluation.local[row], attempt.step) or unsure,
         candidates=candidates,
         choosable=_choosable(candidates, attempt.pose, reward.task),
         place=place,

@@ -12,7 +12,7 @@ from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.demonstrations.hdf5 import read_hdf5, write_hdf5
 from koopdqn.errors import BadInputError
 from koopdqn.files import digest
-from koopdqn.oracles.journal import JournalFile, read_lines
+from koopdqn.oracles.journal import JournalFile, numbered_lines
 from koopdqn.settings import Name, NonNegative, NonNegativeInt, Positive, ReportModel, Settings, Sha256, shown
 from koopdqn.tasks.workcell import Workcell
 
@@ -68,7 +68,7 @@ def read_keys(path: Path, session: SessionLine) -> str:
         BadInputError: the log is damaged, or is of a recording for something else.
     """
     keys = []
-    for number, line in enumerate(read_lines(path) if path.exists() else (), start=1):
+    for number, line in numbered_lines(path) if path.exists() else ():
         try:
             read = _LINE.validate_python(line)
         except ValidationError as error:

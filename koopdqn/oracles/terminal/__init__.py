@@ -1,13 +1,12 @@
 """A person at a terminal teaches the arm: the settings here, and beside them the screen, its picture, the keys."""
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from pydantic import Field
 
 from koopdqn.oracles.base import Oracle, OracleSettings
-from koopdqn.oracles.journal import read_records
+from koopdqn.oracles.journal import copy_answers, read_records
 from koopdqn.oracles.terminal.device import Graphics, check_graphics, require_terminal
 from koopdqn.run_folder import JOURNAL
 from koopdqn.settings import Name, PathText
@@ -37,5 +36,5 @@ class TerminalOracleSettings(OracleSettings):
         from koopdqn.oracles.terminal.oracle import TerminalOracle
 
         if self.journal is not None and not (folder / JOURNAL).exists():
-            shutil.copyfile(self.journal, folder / JOURNAL)
+            copy_answers(self.journal, folder / JOURNAL)
         return TerminalOracle(workcell, self.teacher, self.graphics, folder)
