@@ -17,7 +17,7 @@ import numpy as np
 from koopdqn.errors import BadInputError, KoopdqnError
 from koopdqn.files import LARGEST_JSON, atomic_path, canonical_json, parse_json
 from koopdqn.settings import TARGET, Settings, shown
-from koopdqn.untrusted import check_targets
+from koopdqn.untrusted import check_names_no_file, check_targets
 
 FORMAT_VERSION = 1
 _KEY = "koopdqn"
@@ -112,6 +112,7 @@ def read_artifact(path: Path, kind: str) -> Artifact:
     if sha != arrays_digest(arrays):
         raise BadInputError(f"{what} must hold the arrays it was written with, found others: it was changed by hand")
     check_targets(about, what)
+    check_names_no_file(about, what)
     return Artifact(kind, arrays, about)
 
 

@@ -66,17 +66,32 @@ def check_targets(node: Any, what: str) -> None:
         check_target(target, f"{what}: {key}")
 
 
-def targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+FILES: Final = ("path", "file")
+"""Keys that name a file, in a config."""
+
+
+def check_names_no_file(node: Any, what: str) -> None:
+    """Raise where a file's JSON content names another file, which would be read."""
+    for key, value in _named(node, FILES):
+        if value is not None:
+            raise BadInputError(f"{what}: {key} must name no file, found {' '.join(repr(value).split())[:80]}")
+
+
+def targets(node: Any) -> Iterator[tuple[str, Any]]:
     """Yield the dotted key and the value of every ``target`` in nested mappings and lists."""
+    return _named(node, (TARGET,))
+
+
+def _named(node: Any, names: Sequence[str], key: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(node, Mapping):
         for name, value in node.items():
             inner = f"{key}.{name}" if key else str(name)
-            if name == TARGET:
+            if name in names:
                 yield inner, value
-            yield from targets(value, inner)
+            yield from _named(value, names, inner)
     elif isinstance(node, list | tuple):
         for index, value in enumerate(node):
-            yield from targets(value, f"{key}[{index}]")
+            yield from _named(value, names, f"{key}[{index}]")
 
 
 def modules_named(node: Any) -> list[str]:

@@ -221,7 +221,11 @@ def test_an_existing_result_is_refused_before_anything_is_written(lab: Lab, caps
     for again in (["out=mine", "seed=1"], ["-m", "out=mine", "seed=1,2"]):
         text = refused(capsys, "train", *again)
         assert text == "out: must name a new or an empty folder, found 'mine', which holds train.json"
-    for key, option in (("hydra.run.dir", []), ("hydra.sweep.dir", ["-m", "seed=1,2"])):
+    for key, option in (
+        ("hydra.run.dir", []),
+        ("hydra.sweep.dir", ["-m", "seed=1,2"]),
+        ("hydra.sweep.subdir", ["-m", "seed=1,2"]),
+    ):
         text = refused(capsys, "train", *option, f"{key}=mine", "hydra.output_subdir=null")
         assert text == f"{key}: must be left out, since out= names the run folder, found mine"
     assert record.read_bytes() == before

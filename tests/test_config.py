@@ -303,7 +303,9 @@ class TestOverrides:
     def test_what_a_record_may_not_name_is_asked_for_by_a_key_that_can_be_given(self, tmp_path: Path) -> None:
         obstacle = "{name:m,shape:mesh,center_m:[-0.6,-0.6,0.1],file:/elsewhere/m.stl}"
         record(tmp_path, [f"task.obstacles=[{obstacle}]", "command=train"])
-        with pytest.raises(BadInputError, match=r"task\.obstacles\.file must lie .*; give task\.obstacles= again"):
+        with pytest.raises(
+            BadInputError, match=r"task\.obstacles\.file is never taken .*; give task\.obstacles= again"
+        ):
             prepare("eval", [f"run={tmp_path}"])
 
     def test_folders_that_are_compared_may_begin_at_home(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -460,3 +462,11 @@ def test_classes_named_where_they_were_are_found(old: str) -> None:
     assert found
     for name in found:
         assert settings_module._locate(f"{old}.{name}", "oracle") is getattr(new, name)
+
+
+def test_a_list_longer_than_a_name_may_be_is_a_list() -> None:
+    files = [f"recording_{index:04d}.csv" for index in range(40)]
+    assert (
+        f"demos=[{','.join(files)}]" in prepare("train", ["task=demonstrated", f"demos=[{','.join(files)}]"]).overrides
+    )
+    assert prepare("inspect", [f"import.columns={{{','.join(f'x{i}: column_{i}' for i in range(40))}}}"]).overrides

@@ -370,3 +370,35 @@ def test_a_run_with_an_arm_of_a_file_is_read_and_compared_where_that_lies(
     (tmp_path / "run" / "policy.safetensors").unlink()
     assert cli.main(["eval", run, arm[0], f"out={tmp_path}/none"]) == 2
     assert f"robot.path={SEVEN} goes on" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ('gear="2"', "found gear 2"),
+        ('biastype="affine" gainprm="200" biasprm="0 -400 -20"', "found gear 1, gainprm[0] = 200"),
+        ('biastype="affine" gainprm="400" biasprm="40 -400 -20"', "biasprm[0] = 40"),
+    ],
+)
+def test_an_actuator_whose_set_point_is_not_the_joints_angle_is_refused(
+    tmp_path: Path, changed: str, words: str
+) -> None:
+    text = SEVEN.read_text(encoding="utf-8")
+    actuator = re.search(r'<(position|general)[^>]*joint="A1"[^>]*/>', text)
+    assert actuator
+    kind = "general" if "gainprm" in changed else actuator[1]
+    given = f'<general joint="A1" {changed}/>' if kind == "general" else actuator[0].replace("/>", f" {changed}/>")
+    (tmp_path / "arm.xml").write_text(text.replace(actuator[0], given), encoding="utf-8")
+    with pytest.raises(BadInputError, match=re.escape(words)):
+        arm_of(tmp_path / "arm.xml")
+
+
+def test_an_element_that_dm_control_does_not_know_is_told(tmp_path: Path) -> None:
+    text = SEVEN.read_text(encoding="utf-8")
+    site = re.search(r'<site[^>]*name="flange"[^>]*/>', text)
+    assert site
+    framed = f'<frame pos="0 0 0.1">{site[0]}</frame>'
+    (tmp_path / "arm.xml").write_text(text.replace(site[0], framed), encoding="utf-8")
+    config = load_config("robot=mjcf", f"robot.path='{tmp_path}/arm.xml'", "robot.site=flange")
+    with pytest.raises(BadInputError, match=r"must compile in MuJoCo, which says: .*frame"):
+        open_workcell(config)

@@ -328,3 +328,20 @@ def test_obstacles_that_leave_no_way_are_told(monkeypatch: pytest.MonkeyPatch) -
     wall = {**ON_THE_WAY, "shape": "box", "radius_m": None, "size_m": (0.3, 0.02, 0.5), "center_m": (0.6, -0.09, 0.6)}
     with pytest.raises(BadInputError, match=r"must leave a way around within 0\.025 m"):
         around_obstacles(_with(wall), reward_of(known), known.trajectories)
+
+
+@pytest.mark.parametrize(
+    "held",
+    [
+        "- &x {name: a, b: *x}\n",
+        "a: &a [1, 1, 1, 1]\n"
+        + "".join(
+            f"{two}: &{two} [{', '.join([f'*{one}'] * 9)}]\n" for one, two in zip("abcdefgh", "bcdefghi", strict=True)
+        ),
+        "[" * 50_000,
+    ],
+)
+def test_aliases_that_stand_for_more_than_memory_holds_are_refused(tmp_path: Path, held: str) -> None:
+    (tmp_path / "scene.yaml").write_text(held)
+    with pytest.raises(BadInputError, match=r"must hold at most 100000 items|must be YAML, found maximum recursion"):
+        read_obstacles(tmp_path / "scene.yaml")

@@ -321,7 +321,18 @@ def test_fields_of_an_array_are_columns(tmp_path: Path) -> None:
         np.testing.assert_allclose(item.times, TIMES)
 
 
-@pytest.mark.parametrize("count", [5, 40])
+@pytest.mark.parametrize("count", [2, 3, 4, 7])
+def test_one_clock_of_all_demonstrations_beside_their_poses(tmp_path: Path, count: int) -> None:
+    poses = np.stack([motion(0.001 * index) for index in range(count)])
+    np.savez(tmp_path / "stack.npz", poses=poses, time=TIMES)
+    for item, shown in zip(
+        load(tmp_path / "stack.npz", declared({"quaternion": "wxyz"}), None).items, poses, strict=True
+    ):
+        same(item.poses, shown)
+        np.testing.assert_allclose(item.times, TIMES)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 7, 40])
 def test_a_clock_of_each_demonstration_beside_their_poses(tmp_path: Path, count: int) -> None:
     poses = np.stack([motion(0.001 * index) for index in range(count)])
     times = np.stack([TIMES * (1.0 + 0.1 * index) for index in range(count)])

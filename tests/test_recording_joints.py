@@ -45,6 +45,27 @@ def test_joints_are_told_in_the_arms_base_whatever_is_declared(tmp_path: Path, a
     assert any("import.base and import.tool without effect" in reason for reason in loaded.reasons)
 
 
+@pytest.mark.parametrize(
+    ("first", "second"), [("q_d", "q"), ("q_des", "q_meas"), ("q_cmd", "q"), ("joint_des", "joint_pos")]
+)
+def test_of_two_sets_of_joints_the_measured_one_is_read(
+    tmp_path: Path, arm: Arm, joints: Array, first: str, second: str
+) -> None:
+    names = f"timestamp {numbered(first, 6)} {numbered(second, 6)}"
+    written(tmp_path / "log.csv", names, TIMES, joints + 0.1, joints)
+    same(load(tmp_path / "log.csv", declared({}), arm).items[0].poses, POSES)
+
+
+def test_of_sets_of_joints_that_names_do_not_tell_apart_one_is_named(tmp_path: Path, arm: Arm, joints: Array) -> None:
+    names = f"timestamp {numbered('leader_q', 6)} {numbered('follower_q', 6)}"
+    written(tmp_path / "log.csv", names, TIMES, joints + 0.1, joints)
+    with pytest.raises(
+        BadInputError, match=r"one of the 2 sets of joints .*, found nothing; valid: leader q, follower q"
+    ):
+        load(tmp_path / "log.csv", declared({}), arm)
+    same(load(tmp_path / "log.csv", declared({"pose": "follower"}), arm).items[0].poses, POSES)
+
+
 @pytest.mark.parametrize("held", [False, True])
 def test_joints_show_the_tool_of_poses_told_in_the_world(tmp_path: Path, arm: Arm, joints: Array, held: bool) -> None:
     angles = np.repeat(joints[:1], ROWS, axis=0) if held else joints

@@ -382,6 +382,27 @@ def test_the_measured_stamp_comes_before_a_commanded_one_and_a_declared_clock_be
     np.testing.assert_allclose(found, 2 * TIMES, atol=1e-6)
 
 
+def test_a_declared_column_keeps_the_unit_of_its_name(tmp_path: Path) -> None:
+    names = "time_ms px_mm py_mm pz_mm qw qx qy qz"
+    path = written(tmp_path / "log.csv", names, 1000 * TIMES, 1000 * POSES[:, :3], POSES[:, 3:])
+    roles = {
+        "t": "time_ms",
+        "x": "px_mm",
+        "y": "py_mm",
+        "z": "pz_mm",
+        **{name: name for name in ("qw", "qx", "qy", "qz")},
+    }
+    item = load(path, declared({"columns": roles}), None).items[0]
+    np.testing.assert_allclose(item.times - item.times[0], TIMES - TIMES[0], atol=1e-6)
+    same(item.poses, POSES)
+    small = 0.05 * np.sin(np.linspace(0.0, 2.0, ROWS))
+    turned = pose.from_rotation_vector(np.column_stack([small, 0 * small, 0 * small]))
+    angles = np.column_stack([np.degrees(small), 0 * small, 0 * small])
+    path = written(tmp_path / "deg.csv", "t x y z roll_deg pitch_deg yaw_deg", TIMES, POSES[:, :3], angles)
+    roles = {"roll": "roll_deg", "pitch": "pitch_deg", "yaw": "yaw_deg"}
+    same(load(path, declared({"columns": roles}), None).items[0].poses, pose.make(POSES[:, :3], turned))
+
+
 def test_units_of_a_pose_that_is_not_read_may_be_mixed(tmp_path: Path) -> None:
     names = "t x y z qw qx qy qz target_x_mm target_y_mm target_z_m"
     path = written(tmp_path / "log.csv", names, TIMES, POSES, POSES[:, :3])

@@ -1,5 +1,7 @@
 import csv
+import os
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -49,6 +51,25 @@ def test_a_sweep_becomes_a_page_a_table_and_a_plot(work: Path, parts: "Parts") -
     assert len(re.findall(r"<tr[ >]", text)) == 1 + 4 + 2 + 1 + 1
     assert text.count('class="summary"') == 2
     assert "It holds neither train.json nor begun.json" in text
+
+
+def test_what_is_no_plain_folder_is_a_failed_run_and_nothing_of_it_is_read(work: Path) -> None:
+    secret = work / "secret.yaml"
+    secret.write_text("- intent=hunter2\n")
+    record = work / "swept" / "0" / ".hydra" / "overrides.yaml"
+    record.unlink()
+    record.symlink_to(secret)
+    os.mkfifo(work / "swept" / "1" / "pipe")
+    bomb = "- &a [x, x]\n" + "".join(
+        f"- &{two} [*{one}, *{one}, *{one}]\n" for one, two in pairwise("abcdefghijklmnopqrst")
+    )
+    (work / "swept" / "2" / ".hydra" / "overrides.yaml").write_text(bomb + f"- seed={'9' * 5000}\n")
+    assert cli.main(["report", "sweep=swept", "out=made"]) == 0
+    folder = work / "made" / "report"
+    content = SweepFile.model_validate(read_json(folder / "sweep.json", "the sweep"))
+    assert [run.state for run in content.runs] == ["failed", "failed", "finished", "failed"]
+    assert ["must hold files and folders only" in run.reason for run in content.runs] == [True, True, False, False]
+    assert "hunter2" not in (folder / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_csv_has_a_row_a_run_and_one_a_variant(work: Path) -> None:

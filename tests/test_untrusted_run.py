@@ -386,3 +386,22 @@ def test_a_folder_built_to_attack_ends_in_one_line_and_touches_nothing(
         assert [line for line in streams.err.splitlines() if "koopdqn: error: " in line] == streams.err.splitlines()
         assert "internal error" not in streams.err
     assert {folder: contents(tmp_path / folder) for folder in ("home", "given")} == kept
+
+
+@pytest.mark.parametrize("key", ["path", "file"])
+def test_an_artifact_names_no_file(run: Path, victim: Path, capsys: pytest.CaptureFixture[str], key: str) -> None:
+    found = read_artifact(run / "policy.safetensors", "policy")
+    about = {**found.about, "task": {**found.about["task"], "obstacles": [{"name": "a", key: str(victim)}]}}
+    write_artifact(run / "policy.safetensors", replace(found, about=about))
+    assert f"task.obstacles[0].{key} must name no file" in refused(capsys, "eval", f"run={run}")
+
+
+def test_a_record_names_no_arm_even_within_the_folder(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (run / "arm.xml").write_text("<mujoco/>")
+    record(run, "robot=mjcf", f"robot.path={run}/arm.xml", "robot.site=tool")
+    assert "robot.path is never taken from a run folder" in refused(capsys, "eval", f"run={run}")
+
+
+def test_whether_a_film_is_wanted_is_no_path(run: Path) -> None:
+    record(run, "eval.video=true")
+    assert "eval.video=True" in " ".join(prepare("eval", [f"run={run}"]).overrides).replace("true", "True")

@@ -222,6 +222,7 @@ def evaluate(
         config.eval,
         trained.step_limit,
         held_out=pipeline.held_out_of(config),
+        guard=config.guard,
     )
 
 

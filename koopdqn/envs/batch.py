@@ -67,7 +67,7 @@ class EnvironmentParts:
             choose: returns the actions (N,), or twists (N, 3) or (N, 6), for observations (N, 5) or (N, 8) of the
                 environment's kind.
             episodes: how many starts are drawn.
-            seed: of their drawing; training draws none from it.
+            seed: of their drawing; an environment that is reset with it draws some of them.
 
         Raises:
             BadInputError: hardly any start of the region can be taken.

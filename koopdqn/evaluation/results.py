@@ -66,7 +66,7 @@ def newest_evaluation(
     wanted = folder.resolve()
     policy = sha256_of(folder / POLICY) if (folder / POLICY).is_file() else None
     for file, content in evaluations:
-        if not content["as_trained"] or content["policy"] not in (policy, None):
+        if not content["as_trained"] or content["policy"] not in (policy, None) or "\0" in content["run"]:
             continue
         bases = [Path.cwd(), *file.resolve().parents]
         if content["task"] == task and any((base / content["run"]).resolve() == wanted for base in bases):
@@ -120,6 +120,11 @@ class Variant(ReportModel):
     seconds: Spread | None = Field(description="over the finished runs [s]")
 
 
+_LONGEST_RECORD: Final = 65_536
+"""Characters of a run's record that are read."""
+_LONGEST_SEED: Final = 20
+
+
 def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
     """Return every training run below a folder with its newest evaluation, unfinished and failed ones included.
 
@@ -160,26 +165,34 @@ def find_sweep(folder: Path, elsewhere: Sequence[Path] = ()) -> list[SweptRun]:
 
 def _given(file: Path) -> dict[str, str]:
     """Return the overrides that a run was given by key; none where they cannot be read."""
-    from omegaconf import OmegaConf
+    import yaml
 
     try:
-        items = OmegaConf.to_container(OmegaConf.load(file), resolve=False)
+        check_plain(file.parents[1])
+        with file.open(encoding="utf-8") as opened:
+            # This loader knows no tags and makes texts, lists and mappings alone.
+            items = yaml.load(opened.read(_LONGEST_RECORD), Loader=yaml.BaseLoader)
     # The file may hold anything, and the YAML parser has errors of its own.
     except Exception:
         return {}
-    parts = [str(item).partition("=") for item in items] if isinstance(items, list) else []
+    parts = [item.partition("=") for item in items if isinstance(item, str)] if isinstance(items, list) else []
     return {key.lstrip("+~"): value for key, _, value in parts}
 
 
 def _swept(place: Path, given: Mapping[str, str], overrides: dict[str, str], evaluations: Evaluations) -> SweptRun:
     seed = given.get("seed", "")
     content: dict[str, Any] = dict.fromkeys(("evaluation", "learned", *QUANTITIES))
-    content |= {"folder": str(place), "overrides": overrides, "seed": int(seed) if seed.isdecimal() else None}
-    if (place / TRAINING).is_file():
-        try:
-            train = read_training(place)
-        except BadInputError as error:
-            return SweptRun(state="failed", reason=str(error), **content)
+    content |= {
+        "folder": str(place),
+        "overrides": overrides,
+        "seed": int(seed) if seed.isdecimal() and len(seed) < _LONGEST_SEED else None,
+    }
+    try:
+        check_plain(place)
+        train = read_training(place) if (place / TRAINING).is_file() else None
+    except BadInputError as error:
+        return SweptRun(state="failed", reason=str(error), **content)
+    if train is not None:
         content |= {key: train[key] for key in ("seed", "learned", "oracle_queries", "seconds")}
         # The report has 0 there without a check.
         content["check_success_rate"] = train["best_success_rate"] if train["checks"] else None

@@ -98,6 +98,10 @@ def _read(files: tuple[Path, ...], site: str, changed_ns: tuple[int, ...]) -> Mo
     tip = pose.make(data.site_xpos[where], pose.from_matrix(data.site_xmat[where].reshape(3, 3)))
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = (np.where(limited, model.jnt_range[joints, side], sign * _FREE) for side, sign in ((0, -1), (1, 1)))
+    motors = [driven_joints(model).index(joint) for joint in joints]
+    # No farther than it can be told to go.
+    told = model.actuator_ctrlrange[motors] + np.where(model.actuator_ctrllimited[motors, None], 0.0, [-np.inf, np.inf])
+    lower, upper = np.maximum(lower, told[:, 0]), np.minimum(upper, told[:, 1])
     home = model.key_qpos[0][address] if model.nkey else 0.5 * (lower + upper)
     # A keyframe may be rounded otherwise than a range.
     inside = np.clip(home, lower, upper)
@@ -143,11 +147,22 @@ def _check_actuators(model: Any, joints: list[int]) -> None:
         name = model.joint(joint).name
         if joint not in driven:
             raise ValueError(f"path: must be a file with an actuator for every joint, found none for {name}")
-        pull = float(model.actuator_biasprm[driven.index(joint), 1])
+        motor = driven.index(joint)
+        pull = float(model.actuator_biasprm[motor, 1])
         if pull >= 0:
             raise ValueError(
                 f"path: the actuator of {name} must be a position actuator (biasprm[1] = -kp < 0), found biasprm[1] ="
                 f" {pull:g}"
+            )
+        gain, gear, shift = (
+            model.actuator_gainprm[motor, 0],
+            model.actuator_gear[motor, 0],
+            model.actuator_biasprm[motor, 0],
+        )
+        if not (np.isclose(gain, -pull) and gear == 1.0 and shift == 0.0):
+            raise ValueError(
+                f"path: the actuator of {name} must be set to the joint's own angle (gear 1, gainprm[0] = -biasprm[1] ="
+                f" {-pull:g}, biasprm[0] = 0), found gear {gear:g}, gainprm[0] = {gain:g}, biasprm[0] = {shift:g}"
             )
 
 

@@ -1,6 +1,7 @@
 """Obstacles: what stands in a task's scene besides its own furniture, each with a clearance."""
 
 import re
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -108,6 +109,19 @@ def _check_names(obstacles: tuple[Obstacle, ...]) -> tuple[Obstacle, ...]:
 Obstacles = Annotated[tuple[Obstacle, ...], Strict(False), AfterValidator(_check_names)]
 
 
+_LARGEST_FILE, _MOST_ITEMS = 1_000_000, 100_000
+
+
+def _written_out(node: Any, known: dict[int, float]) -> float:
+    """Return of how many items a node of YAML consists, those of aliases included; no end where it holds itself."""
+    if id(node) not in known:
+        known[id(node)] = np.inf
+        held = node.value if isinstance(getattr(node, "value", None), list) else []
+        parts = [part for each in held for part in (each if isinstance(each, tuple) else (each,))]
+        known[id(node)] = 1.0 + sum(_written_out(part, known) for part in parts)
+    return known[id(node)]
+
+
 class _File(Settings):
     obstacles: Obstacles
 
@@ -124,10 +138,16 @@ def read_obstacles(path: Path) -> tuple[Obstacle, ...]:
 
     if not path.is_file():
         raise BadInputError(f"obstacles: must name a YAML file, found no file {str(path)!r}")
+    if path.stat().st_size > _LARGEST_FILE:
+        raise BadInputError(f"obstacles {path}: must hold at most {_LARGEST_FILE} bytes, found {path.stat().st_size}")
     try:
+        text = path.read_text(encoding="utf-8")
+        # A few lines of aliases can stand for more than any memory holds.
+        if _written_out(yaml.compose(text), {}) > _MOST_ITEMS:
+            raise BadInputError(f"obstacles {path}: must hold at most {_MOST_ITEMS} items, aliases written out")
         # Hydra's YAML, in which 3e-2 is a number.
-        content: Any = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (yaml.YAMLError, UnicodeDecodeError, OmegaConfBaseException, OSError) as error:
+        content: Any = OmegaConf.to_container(OmegaConf.load(StringIO(text)), resolve=False)
+    except (yaml.YAMLError, UnicodeDecodeError, OmegaConfBaseException, OSError, RecursionError) as error:
         raise BadInputError(f"obstacles {path}: must be YAML, found {' '.join(str(error).split())}") from error
     if content == {}:
         raise BadInputError(f"obstacles {path}: must be a list, each item a group of keys, found nothing in it")

@@ -305,7 +305,7 @@ def build_scene(task: Task, arm: Arm) -> "Scene":
         for obstacle in task.obstacles:
             obstacle.stand_in(builder)
         return builder.build()
-    # MJCF that is no XML raises SyntaxError.
-    except (ValueError, SyntaxError) as error:
+    # MJCF that is no XML raises SyntaxError, an element that dm_control does not know KeyError.
+    except (ValueError, SyntaxError, KeyError) as error:
         found = " ".join(str(error).split())
         raise BadInputError(f"the scene of task {task.name} must compile in MuJoCo, which says: {found}") from error

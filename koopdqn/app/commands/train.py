@@ -81,7 +81,8 @@ def _run(config: Configuration, folder: Path) -> CommandResult:
     seconds = before + monotonic() - began
     if done == trainer.env_steps and (folder / TRAINING).is_file():
         console.note("nothing was left to do: the run had ended; train.stop=limit or higher limits let it go on")
-        seconds = float(_held_in(folder / TRAINING, "the training report").get("seconds", before))
+        told = _held_in(folder / TRAINING, "the training report").get("seconds")
+        seconds = float(told) if isinstance(told, int | float) else before
     made = trainer.best, config.agent.network, intent.model.start_frame, shaped_by
     write_policy(folder / POLICY, *made, continuous=config.agent.continuous)
     report = train_report(config, trainer, seconds, made_from)

@@ -46,7 +46,7 @@ _SHORT_NAMES: Final = {
 _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
 """Keys without effect from Python."""
 _HYDRAS: Final = ("hydra.", "hydra/")
-_FOLDERS: Final = ("hydra.run.dir", "hydra.sweep.dir")
+_FOLDERS: Final = ("hydra.run.dir", "hydra.sweep.dir", "hydra.sweep.subdir")
 """Where Hydra would write before anything could be refused."""
 _COPIES: Final = {"demos": DEMONSTRATIONS, "intent_file": INTENT}
 """Inputs that a run keeps a copy of, and its name."""
@@ -171,7 +171,7 @@ def going_on(command: str, folder: Path) -> list[str]:
 def _with_files(overrides: Sequence[str]) -> list[str]:
     """Return the overrides, files that stand alone gathered in ``demos=``."""
     files = [each for each in overrides if "=" not in each and (not each.startswith("~") or each.startswith("~/"))]
-    files += [each for each in overrides if each not in files and "=" in each and Path(each).exists()]
+    files += [each for each in overrides if each not in files and "=" in each and _exists(each)]
     rest = [each for each in overrides if each not in files]
     if not files:
         return rest
@@ -277,13 +277,25 @@ def _prepare_one(command: str, override: str) -> str:
     return f"{name}{equals}{value}"
 
 
+def _exists(text: str) -> bool:
+    """Return whether there is something of this name; of a text too long for one there is not."""
+    with suppress(OSError, ValueError):
+        return Path(text).exists()
+    return False
+
+
 def _is_list(value: str) -> bool:
-    return value.startswith("[") and value.endswith("]") and not Path(value).exists()
+    return value.startswith("[") and value.endswith("]") and not _exists(value)
 
 
 def _is_path(value: str) -> bool:
     text = _unquoted(value)
-    return "/" in text or text.lower().endswith(_INTENT_SUFFIXES) or text == "~" or Path(text).is_file()
+    return (
+        "/" in text
+        or text.lower().endswith(_INTENT_SUFFIXES)
+        or text == "~"
+        or (_exists(text) and Path(text).is_file())
+    )
 
 
 def _quoted(value: str) -> str:

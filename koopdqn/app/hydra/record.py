@@ -10,7 +10,7 @@ from koopdqn.errors import BadInputError, unknown_name
 from koopdqn.resources import check_asset
 from koopdqn.run_folder import RECORD, check_plain
 from koopdqn.settings import shown
-from koopdqn.untrusted import TARGET, check_target
+from koopdqn.untrusted import FILES, TARGET, check_target
 
 GROUPS: Final = ("task", "person", "intent", "trust", "oracle", "agent", "robot", "actions", "preset")
 """The config groups."""
@@ -121,10 +121,15 @@ def said_again(recorded: Iterable[Recorded], replaced: Collection[str]) -> list[
     for item in _that_hold(recorded, replaced):
         leaves = [(key.rpartition(".")[2], value) for key, value in _leaves(item.key, item.value)]
         modules |= {str(value).rpartition(".")[0] for last, value in leaves if last == TARGET}
-        if any(last in PATH_NAMES and value is not None for last, value in leaves):
+        if any(_is_path(last, value) for last, value in leaves):
             said.append(item.text)
     own = sorted(module for module in modules if module.partition(".")[0] != "koopdqn")
     return [*said, *([f"trust_modules=[{','.join(own)}]"] if own else [])]
+
+
+def _is_path(last: str, value: Any) -> bool:
+    """Return whether a key whose last part is ``last`` holds a path: ``eval.video`` says whether there is to be one."""
+    return last in PATH_NAMES and value is not None and not isinstance(value, bool)
 
 
 def _that_hold(recorded: Iterable[Recorded], replaced: Collection[str]) -> list[Recorded]:
@@ -196,7 +201,12 @@ def _check_leaf(key: str, value: Any, folder: Path, trusted: Sequence[str], give
         check_target(value, f"run: {record}: {key}", trusted)
     elif last == "asset":
         check_asset(str(value))
-    elif last in PATH_NAMES and value is not None:
+    elif last in FILES and value is not None:
+        # Of an arm or a mesh: it may name others in turn.
+        raise BadInputError(
+            f"run: {record}: {key} is never taken from a run folder, found {shown(value)}; give {given}= again"
+        )
+    elif _is_path(last, value):
         _check_path(key, value, folder, given)
     elif isinstance(value, str):
         for found in re.finditer(r"\$\{", value):

@@ -24,8 +24,10 @@ from koopdqn.demonstrations.recordings.names import (
 from koopdqn.demonstrations.recordings.recording import Angles, Clock, ImportSettings
 from koopdqn.errors import BadInputError
 
-_COMMANDED: Final = ("target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "setpoint")
-_MEASURED: Final = ("actual", "measured", "current", "observed", "real")
+_COMMANDED: Final = ("target", "desired", "command", "commanded", "cmd", "goal", "reference", "ref", "setpoint", "des")
+# Of joints: q_d, and the controller's q_c.
+_COMMANDED_LAST: Final = ("d", "c")
+_MEASURED: Final = ("actual", "measured", "meas", "current", "observed", "real")
 _TIMES: Final = ("t", "time", "timestamp", "stamp", "elapsed", "clock", "timestep", "seconds", "secs")
 # A whole second and what is over it, in two columns.
 _SECONDS: Final = ("secs", "sec")
@@ -80,13 +82,14 @@ def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Lay
         names = _renamed(where, names, declared.columns)
     known = [parsed(name) for name in _without_twins(names)]
     time, clock, why_time = _time_of(names, known)
-    if declared.columns and "t" in names:
-        time, clock, why_time = (list(names).index("t"),), None, ["time from the declared column"]
+    if "t" in (declared.columns or {}):
+        place = next(i for i, name in enumerate(known) if (name.words, name.leaf) == ((), "t"))
+        time, clock, why_time = (place,), clock_unit(known[place]), ["time from the declared column"]
     demo = next((i for i, name in enumerate(names) if _is_demo(known[i])), None)
-    joints = _joints_of(known)
     tool = next((tuple(g.values()) for w, g in numbered(known) if w[-2:] == ("tcp", "offset") and len(g) == 6), ())
     poses = poses_of(known)
     pose, why_pose = _chosen(where, poses, declared)
+    joints = _joints_of(where, known, declared, alone=pose is None)
     if pose is not None:
         check_one_unit(where, [known[place] for place in pose.position[:3]])
     if pose is None and not joints:
@@ -114,7 +117,7 @@ def layout_of(where: str, names: Sequence[str], declared: ImportSettings) -> Lay
 def shows_motion(names: Sequence[str]) -> bool:
     """Return whether names show a pose or joints."""
     known = [parsed(name) for name in _without_twins(names)]
-    return bool(poses_of(known) or _joints_of(known))
+    return bool(poses_of(known) or _joint_sets(known))
 
 
 def _renamed(where: str, names: Sequence[str], roles: dict[str, str]) -> list[str]:
@@ -129,7 +132,9 @@ def _renamed(where: str, names: Sequence[str], roles: dict[str, str]) -> list[st
         place = folded.index(key) if key in folded else int(key) if key.isdecimal() else -1
         if not 0 <= place < len(names):
             raise BadInputError(f"import.columns: {role} must name a column of {where}, found {name!r}")
-        result[place] = role
+        # A unit that the name states stays the column's.
+        unit = parsed(names[place]).unit
+        result[place] = f"{role} [{unit}]" if unit else role
     return result
 
 
@@ -199,14 +204,36 @@ def _whole_and_rest(known: Sequence[Name]) -> tuple[int, ...]:
     return min(pairs)[2:] if pairs else ()
 
 
-def _joints_of(known: Sequence[Name]) -> tuple[int, ...]:
-    """Return the places of the joints, of the measured ones where there are several sets."""
-    sets = []
+def _joints_of(where: str, known: Sequence[Name], declared: ImportSettings, *, alone: bool) -> tuple[int, ...]:
+    """Return the places of the joints; where they stand ``alone``, of several sets the one that is declared.
+
+    Raises:
+        BadInputError: there are several sets and none, or no single one, is declared.
+    """
+    sets = _joint_sets(known)
+    if len(sets) > 1 and alone:
+        asked = set(parsed(f"{declared.pose}_0").words) if declared.pose else set()
+        named = [words for words in sets if asked and asked <= set(words)]
+        if len(named) != 1:
+            valid = ", ".join(" ".join(words) for words in sets)
+            raise BadInputError(
+                f"import.pose: must name one of the {len(sets)} sets of joints of {where}, found"
+                f" {declared.pose or 'nothing'}; valid: {valid}"
+            )
+        return sets[named[0]]
+    return next(iter(sets.values()), ())
+
+
+def _joint_sets(known: Sequence[Name]) -> dict[tuple[str, ...], tuple[int, ...]]:
+    """Return the places of each set of joints by its words: of measured ones if there are any, commanded ones last."""
+    sets = {}
     for words, group in numbered(known):
         motor = "current" in words and words[0] != "current"
         if set(words) & JOINT_WORDS and not set(words) & OTHER_WORDS and not motor and len(group) in (6, 7):
-            sets.append((bool(set(words).intersection(_COMMANDED)), tuple(group.values())))
-    return min(sets, default=(False, ()))[1]
+            sets[words] = tuple(group.values())
+    free = {words: sets[words] for words in sets if not (set(words) & set(_COMMANDED) or words[-1] in _COMMANDED_LAST)}
+    measured = {words: free[words] for words in free if set(words) & set(_MEASURED)}
+    return measured or free or sets
 
 
 def _chosen(

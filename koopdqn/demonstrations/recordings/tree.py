@@ -77,12 +77,17 @@ def _tables(tree: Tree, prefix: str = "") -> Iterator[tuple[str, dict[str, Array
     raw = dict(_flat(kept))
     flat = {name: _upright(value) for name, value in raw.items()}
     stacks = [name for name, value in flat.items() if value.ndim == 3 and value.shape[1:] not in ((4, 4), (3, 3))]
-    if stacks and not any(value.ndim == 2 and value.shape[1] in (3, 4, 7) for value in flat.values()):
+    # A clock (D, N) beside poses (D, N, k) has a row for each demonstration, however few they are.
+    clocks = {name for name in raw if stacks and raw[name].shape == flat[stacks[0]].shape[:2]}
+    tables = [value for name, value in flat.items() if name not in clocks and value.ndim == 2]
+    if stacks and not any(value.shape[1] in (3, 4, 7) for value in tables):
         stack = flat[stacks[0]]
-        # A clock (D, N) beside poses (D, N, k) has a row for each demonstration, however few they are.
-        beside = {name: raw[name] if raw[name].shape == stack.shape[:2] else value for name, value in flat.items()}
+        beside = {name: raw[name] if name in clocks else value for name, value in flat.items()}
+        # One clock may be all demonstrations'.
+        shared = {name: value for name, value in beside.items() if value.shape == stack.shape[1:2]}
         for index in range(len(stack)):
-            rows = {name: value[index] for name, value in beside.items() if len(value) == len(stack)}
+            own = {name: value[index] for name, value in beside.items() if value.ndim > 1 and len(value) == len(stack)}
+            rows = own | shared
             yield f"{prefix}{stacks[0]}[{index}]", rows, ""
         return
     lengths = Counter(len(value) for value in flat.values() if len(value) > 1)
