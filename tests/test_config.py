@@ -16,6 +16,7 @@ from pydantic import ValidationError, model_validator
 from koopdqn import resources
 from koopdqn import settings as settings_module
 from koopdqn.app.hydra.completion import complete
+from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.folder import require_new, require_writable
 from koopdqn.app.hydra.overrides import going_on, literal, prepare
 from koopdqn.errors import BadInputError
@@ -470,3 +471,14 @@ def test_a_list_longer_than_a_name_may_be_is_a_list() -> None:
         f"demos=[{','.join(files)}]" in prepare("train", ["task=demonstrated", f"demos=[{','.join(files)}]"]).overrides
     )
     assert prepare("inspect", [f"import.columns={{{','.join(f'x{i}: column_{i}' for i in range(40))}}}"]).overrides
+
+
+@pytest.mark.parametrize("name", ["we ird,[x]", "a=b", "1e3", "it's"])
+def test_a_run_goes_on_whatever_its_folder_is_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name / ".hydra").mkdir(parents=True)
+    record(tmp_path / name, ["task=shelf", "command=train"])
+    tree = composed(prepare("train", [f"run={name}"]).overrides)
+    assert (tree["run"], tree["out"]) == (name, name)

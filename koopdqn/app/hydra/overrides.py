@@ -147,7 +147,7 @@ def _going_on_in(folder: str, command: str, prepared: Sequence[str], *, multirun
     merged = [
         *check_record(recorded, Path(folder), _trusted(prepared), [*paths, *copied]),
         *([f"intent_file={_text(f'{folder}/{INTENT}')}"] if own_intent else []),
-        *prepared,
+        *(f"run={_text(folder)}" if _key(each) == "run" else each for each in prepared),
         f"command={command}",
         f"out={_text(folder)}",
         f"hydra.run.dir={_text(folder)}",
