@@ -403,6 +403,13 @@ def test_a_declared_column_keeps_the_unit_of_its_name(tmp_path: Path) -> None:
     same(load(path, declared({"columns": roles}), None).items[0].poses, pose.make(POSES[:, :3], turned))
 
 
+@pytest.mark.parametrize("other", ["t", "t_ms", "t [s]"])
+def test_a_declared_clock_comes_before_one_of_its_name(tmp_path: Path, other: str) -> None:
+    names = f"{other.replace(' ', '')} k x y z qw qx qy qz"
+    path = written(tmp_path / "log.csv", names, 3 * TIMES, TIMES, POSES)
+    np.testing.assert_allclose(load(path, declared({"columns": {"t": "k"}}), None).items[0].times, TIMES, atol=1e-6)
+
+
 def test_units_of_a_pose_that_is_not_read_may_be_mixed(tmp_path: Path) -> None:
     names = "t x y z qw qx qy qz target_x_mm target_y_mm target_z_m"
     path = written(tmp_path / "log.csv", names, TIMES, POSES, POSES[:, :3])

@@ -12,7 +12,7 @@ from typing import IO, Annotated, Any, Final, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from koopdqn.errors import BadInputError
-from koopdqn.files import parse_json
+from koopdqn.files import parse_json, write_text
 from koopdqn.oracles.base import Answer, Earlier
 from koopdqn.run_folder import open_own
 from koopdqn.settings import Name, NonNegative, NonNegativeInt, PoseList, ReportModel, flaw
@@ -190,7 +190,7 @@ def copy_answers(path: Path, out: Path) -> None:
         BadInputError: as of :func:`read_lines`.
     """
     items = (item | ({"learned": False} if item.get("kind") == "edit" else {}) for item in read_lines(path))
-    out.write_text("".join(json.dumps(item, sort_keys=True) + "\n" for item in items), encoding="utf-8")
+    write_text(out, "".join(json.dumps(item, sort_keys=True) + "\n" for item in items))
 
 
 def read_records(path: Path) -> Records:

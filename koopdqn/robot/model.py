@@ -98,7 +98,8 @@ def _read(files: tuple[Path, ...], site: str, changed_ns: tuple[int, ...]) -> Mo
     tip = pose.make(data.site_xpos[where], pose.from_matrix(data.site_xmat[where].reshape(3, 3)))
     limited = model.jnt_limited[joints].astype(bool)
     lower, upper = (np.where(limited, model.jnt_range[joints, side], sign * _FREE) for side, sign in ((0, -1), (1, 1)))
-    motors = [driven_joints(model).index(joint) for joint in joints]
+    driven = driven_joints(model)
+    motors = [driven.index(joint) for joint in joints]
     # No farther than it can be told to go.
     told = model.actuator_ctrlrange[motors] + np.where(model.actuator_ctrllimited[motors, None], 0.0, [-np.inf, np.inf])
     lower, upper = np.maximum(lower, told[:, 0]), np.minimum(upper, told[:, 1])

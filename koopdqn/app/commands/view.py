@@ -25,8 +25,8 @@ from koopdqn.view.page import Shown, write_page
 from koopdqn.view.window import KEYS, check_display, watch
 
 _FOLLOWED: Final = 12
-_MADE_FROM_FILES: Final = "demonstrated"
 """Demonstrations that the arm follows; further ones are drawn as lines."""
+_MADE_FROM_FILES: Final = "demonstrated"
 
 
 def run(config: Configuration, folder: Path) -> CommandResult:

@@ -123,7 +123,11 @@ def shows_motion(names: Sequence[str]) -> bool:
 def _renamed(where: str, names: Sequence[str], roles: dict[str, str]) -> list[str]:
     """Return the names, those of declared columns being their roles; what bore a role's name by chance is put aside."""
     folded = [name.strip().lower() for name in names]
-    result = ["_" if name in roles else names[index] for index, name in enumerate(folded)]
+    known = [parsed(name) for name in folded]
+    chance = [
+        name in roles or (not each.words and each.leaf in roles) for name, each in zip(folded, known, strict=True)
+    ]
+    result = ["_" if aside else name for aside, name in zip(chance, names, strict=True)]
     if {"x", "y", "z"} & set(roles):
         # A declared pose is the only one.
         result = ["_" if _is_pose_part(parsed(name)) else name for name in result]
@@ -225,7 +229,7 @@ def _joints_of(where: str, known: Sequence[Name], declared: ImportSettings, *, a
 
 
 def _joint_sets(known: Sequence[Name]) -> dict[tuple[str, ...], tuple[int, ...]]:
-    """Return the places of each set of joints by its words: of measured ones if there are any, commanded ones last."""
+    """Return the places of sets of joints by their words: of measured ones, else of those not commanded, else of all."""
     sets = {}
     for words, group in numbered(known):
         motor = "current" in words and words[0] != "current"

@@ -153,7 +153,7 @@ def _right(shown: Shown, question: Question, width: int, place: Region, body: in
         _pair("to go", remaining(question, shown.task)),
         _pair("goal", nearer(question, shown.task)),
         _pair("model", opinion(question)),
-        *wrapped(f"Asked because {question.reason or 'the intent model is not trusted here'}.", room),
+        *wrapped(f"Asked because {question.reason}.", room),
     ]
     learning = wrapped(f"Learning: {question.progress}", room, DIM) if question.progress else []
     keys = []
