@@ -229,7 +229,7 @@ def _joints_of(where: str, known: Sequence[Name], declared: ImportSettings, *, a
 
 
 def _joint_sets(known: Sequence[Name]) -> dict[tuple[str, ...], tuple[int, ...]]:
-    """Return the places of sets of joints by their words: of measured ones, else of those not commanded, else of all."""
+    """Return the places of sets of joints by their words: measured ones, else those not commanded, else all."""
     sets = {}
     for words, group in numbered(known):
         motor = "current" in words and words[0] != "current"
