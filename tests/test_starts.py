@@ -3,12 +3,13 @@ import pytest
 from parts import load_parts
 
 from koopdqn import pose
+from koopdqn.app.api import load_config
 from koopdqn.pose import Array
 from koopdqn.rl.settings import AgentSettings
 from koopdqn.rl.starts import StartSampler
 from koopdqn.rl.vector_env import Episodes
 from koopdqn.tasks.start_frame import STILL, StartFrame
-from koopdqn.tasks.workcell import Workcell
+from koopdqn.tasks.workcell import Workcell, open_workcell
 
 
 def exploring(share: float, region: float, scale: float = 1.0, spread_m: float = 0.008) -> AgentSettings:
@@ -83,6 +84,23 @@ def test_along_demonstrations_that_follow_their_start_it_lies_beside_them_as_its
         gaps.append(np.linalg.norm(poses[:, None, :3] - shown[None], axis=2).min(axis=1))
     assert gaps[1].max() < 1e-7
     assert np.median(gaps[0]) > 1e-3
+
+
+@pytest.mark.parametrize(("actions", "aside"), [("table1", False), ("continuous", True)])
+def test_where_the_tool_is_turned_already_what_can_turn_anywhere_begins_turned_aside(actions: str, aside: bool) -> None:
+    """Table 1 cannot turn away from the goal; a twist can, and has to learn the way back."""
+    config = load_config("task=knife", f"actions={actions}")
+    task = config.task
+    positions = np.linspace([0.345, -0.080, 0.405], [0.400, -0.020, 0.415], 40)
+    shown = [pose.make(positions, task.goal[pose.QUATERNION])]
+    agent = config.agent.model_copy(update={"exploring_starts": 1.0, "exploring_in_region": 0.0})
+    starts = StartSampler(open_workcell(task, config.robot), STILL, shown, 750, agent)
+    rng = np.random.default_rng(0)
+    turned = pose.rotation_distance(np.array([starts.draw(rng).pose for _ in range(40)]), task.goal)
+    if aside:
+        assert 0.03 < np.median(turned) < 0.12
+    else:
+        np.testing.assert_allclose(turned, 0.0, atol=1e-6)
 
 
 def test_shares_of_starts_are_as_said(workcell: Workcell, trajectories: list[Array]) -> None:

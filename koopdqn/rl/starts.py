@@ -92,7 +92,9 @@ class StartSampler:
             pose = self.trajectories[which][index].copy()
             pose[:3] += rng.normal(scale=agent.exploring_spread_m, size=3)
             if task.orientation == "learned":
-                pose[3:] = _turned(pose[3:], task, agent.exploring_spread_rad, rng)
+                # Where an agent can turn anywhere, so can its mistakes.
+                aside = task.turns_in_full or agent.continuous
+                pose[3:] = _turned(pose[3:], task, agent.exploring_spread_rad, rng, aside=aside)
             start, begun = task.draw_starts(rng, 1)[0], self._begun[which]
             if begun is not None and (begun[index] != begun[0]).any():
                 start = begun[index]
@@ -114,8 +116,8 @@ class StartSampler:
         return [task.begun(self.frame.from_frame(rows, rows[:1], rows), hindsight=True) for rows in self.trajectories]
 
 
-def _turned(quaternion: Array, task: Task, spread: float, rng: np.random.Generator) -> Array:
+def _turned(quaternion: Array, task: Task, spread: float, rng: np.random.Generator, *, aside: bool) -> Array:
     """Return a quaternion (4,) turned at random, by ``spread`` [rad]: ahead of the position, behind it, or aside."""
-    if task.turns_in_full:
+    if aside:
         return multiply(quaternion, from_rotation_vector(rng.normal(scale=spread, size=3)))
     return turned_toward(quaternion, task.goal[3:], rng.normal(scale=spread))
