@@ -19,6 +19,7 @@ from koopdqn.files import write_json
 from koopdqn.resources import conf_dir
 from koopdqn.settings import load_settings
 from koopdqn.tasks.knife import KnifeTask
+from koopdqn.tasks.start_frame import STILL
 from koopdqn.tasks.task import Task
 
 SHA = "0" * 64
@@ -33,7 +34,10 @@ def about(parts: Parts, seed: int) -> dict[str, Any]:
     # What decides when a training stops shapes no byte of what it does until then.
     for key in ("stop", "extend", "max_steps", "max_episodes"):
         del described_parts["train"][key]
-    return {"seed": seed, "made_from": {"demonstrations": SHA, "intent": SHA}, "network": {}, **described_parts}
+    # The start frame is fitted to the demonstrations of the run, which are of its seed.
+    frame = {**STILL.described(), "start": [0.1 * seed, 0.0, 0.0]}
+    made_from = {"demonstrations": SHA, "intent": SHA}
+    return {"seed": seed, "made_from": made_from, "network": {}, "frame": frame, **described_parts}
 
 
 def knife_parts() -> Parts:

@@ -7,6 +7,7 @@ from report_runs import knife_parts, write_evaluation, write_run
 
 from koopdqn import console
 from koopdqn.app import cli
+from koopdqn.app.api import load_config
 from koopdqn.app.commands import report
 from koopdqn.report.runs import DEFAULT, PAPER
 
@@ -75,6 +76,21 @@ def test_make_trains_and_evaluates_what_is_missing(
     assert cli.main(["report", "--make", "report.seeds=[0,1]", "out=again"]) == 0
     assert calls == []
     assert PAPER not in {preset for _, preset in shown}
+
+
+def test_what_is_made_is_made_from_the_commands_own_config(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[list[str]] = []
+    monkeypatch.setattr(report, "_koopdqn", lambda command, overrides, result: calls.append([command, *overrides]))
+    own = ["--config-dir=/mine", "--config-name=mine"]
+    made = report._make_missing([("shelf", 3, None)], own)
+    assert [call[:3] for call in calls] == [["train", *own], ["eval", *own]]
+    assert calls[1][3] == f"run={made[0]}"
+
+
+def test_a_seed_named_twice_is_made_once() -> None:
+    settings = load_config("report.seeds=[0,0]").report
+    jobs = report._jobs(settings, {}, report.all_presets())
+    assert [(task, seed) for task, seed, _ in jobs] == [("shelf", 0), ("knife", 0)]
 
 
 def test_one_run_is_told_as_one(

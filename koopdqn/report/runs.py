@@ -33,7 +33,7 @@ TASKS: Final = ("shelf", "knife")
 """The paper's two tasks, in its order."""
 
 # What tells two runs of one configuration apart.
-_OF_ONE_RUN: Final = ("seed", "made_from", "network")
+_OF_ONE_RUN: Final = ("seed", "made_from", "network", "frame")
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,11 @@ from koopdqn.report.tables import Cell, Quantity, Table, left_out
 from koopdqn.run_folder import TRAINING
 
 _MEASURED: Final = (
-    Quantity("success [%]", "success_rate", ".0f", 100.0),
+    Quantity("success [%]", "success_rate", ".3g", 100.0),
     Quantity("deviation [mm]", "deviation_mm", ".1f"),
 )
 _TRAINED: Final = (
-    Quantity("best check [%]", "check_success_rate", ".0f", 100.0),
+    Quantity("best check [%]", "check_success_rate", ".3g", 100.0),
     Quantity("questions", "oracle_queries", ",.0f"),
     Quantity("time [s]", "seconds", ",.1f"),
 )

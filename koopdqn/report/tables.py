@@ -103,7 +103,7 @@ _LEARNED: Final = (
     (_until_learned, Quantity("episodes to learn", "episodes", ",.0f")),
     (_until_learned, Quantity("minutes to learn", "seconds", ".2f", 1 / 60)),
     (_trained, Quantity("questions asked", "oracle_queries", ",.0f")),
-    (_measured, Quantity("success from held-out starts", "success_rate", ".0f", 100.0, "%")),
+    (_measured, Quantity("success from held-out starts", "success_rate", ".3g", 100.0, "%")),
     (_measured, Quantity(_DEVIATION, "path_deviation_mm.mean", ".1f", unit="mm")),
 )
 _REPORTED: Final = {
@@ -259,7 +259,7 @@ def training(groups: Groups) -> Table:
 
 
 _EVALUATION: Final = (
-    Quantity("success [%]", "success_rate", ".0f", 100.0),
+    Quantity("success [%]", "success_rate", ".3g", 100.0),
     Quantity("deviation, mean [mm]", "path_deviation_mm.mean", ".1f"),
     Quantity("its 95th percentile of maxima [mm]", "path_deviation_mm.p95_of_max", ".0f"),
     Quantity("sideways, mean [mm]", "lateral_deviation_mm.mean", ".1f"),
@@ -288,7 +288,7 @@ def evaluation(groups: Groups) -> Table | MissingPart:
 _ABLATED: Final = (
     Quantity("episodes", "episodes", ",.0f"),
     Quantity("questions", "oracle_queries", ",.0f"),
-    Quantity("success [%]", "success_rate", ".0f", 100.0),
+    Quantity("success [%]", "success_rate", ".3g", 100.0),
     Quantity("deviation [mm]", "deviation_mm", ".1f"),
 )
 

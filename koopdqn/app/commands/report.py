@@ -8,7 +8,7 @@ from pathlib import Path
 
 from koopdqn import console
 from koopdqn.app.commands.configuration import Configuration
-from koopdqn.app.hydra.application import CommandResult, own_options
+from koopdqn.app.hydra.application import CommandResult, given_now, own_options
 from koopdqn.app.hydra.compose import composed
 from koopdqn.artifact import described
 from koopdqn.errors import BadInputError, WorkFailedError
@@ -44,13 +44,15 @@ def run(config: Configuration, folder: Path) -> CommandResult:
         WorkFailedError: a command that makes a missing run failed.
     """
     settings = config.report
+    trusted = [f"trust_modules=[{','.join(config.inputs.trust_modules)}]"] if config.inputs.trust_modules else []
+    own = [*own_options(), *trusted]
     if settings.sweep is not None:
-        trusted = [f"trust_modules=[{','.join(config.inputs.trust_modules)}]"] if config.inputs.trust_modules else []
-        return _of_sweep(settings, settings.sweep, folder / "report", [*own_options(), *trusted])
+        own += [*given_now("robot"), *given_now("robot.path")]
+        return _of_sweep(settings, settings.sweep, folder / "report", own)
     presets = all_presets()
     made: list[Path] = []
     if settings.make:
-        made = _make_missing(settings, _found(settings, presets, made)[0], presets)
+        made = _make_missing(_jobs(settings, _found(settings, presets, made)[0], presets), own)
     groups, left_out = _found(settings, presets, made)
     if not groups:
         where = ", ".join(f"{path}/" for path in settings.runs) or f"{RUNS}/"
@@ -169,19 +171,21 @@ def _ablations(settings: ReportSettings) -> Path:
     return next((file for file in files if file.is_file()), files[-1])
 
 
-def _make_missing(settings: ReportSettings, groups: Groups, presets: Presets) -> list[Path]:
-    """Train what is missing of the default preset and evaluate it; return the folders that were made."""
-    jobs = _jobs(settings, groups, presets)
+def _make_missing(jobs: Sequence[tuple[str, int, Path | None]], own: Sequence[str]) -> list[Path]:
+    """Train what is missing of the default preset and evaluate it; return the folders that were made.
+
+    The commands are given the words ``own``.
+    """
     folders = []
     with console.stage("Making missing runs", len(jobs)) as stage:
         for task, seed, trained in jobs:
             if trained is None:
                 trained = _new_folder(task, "train")
                 folders.append(trained)
-                _koopdqn("train", [f"task={task}", f"seed={seed}", f"out={trained}"], trained / TRAINING)
+                _koopdqn("train", [*own, f"task={task}", f"seed={seed}", f"out={trained}"], trained / TRAINING)
             measured = _new_folder(task, "eval")
             folders.append(measured)
-            _koopdqn("eval", [f"run={trained}", f"out={measured}"], measured / EVALUATION)
+            _koopdqn("eval", [*own, f"run={trained}", f"out={measured}"], measured / EVALUATION)
             stage.advance(1, f"{task} seed {seed}")
     return folders
 
@@ -194,7 +198,7 @@ def _jobs(settings: ReportSettings, groups: Groups, presets: Presets) -> list[tu
         present = presets[task, DEFAULT].key
         runs = [run for run in groups.get((task, DEFAULT), ()) if configuration_key(run.about) == present]
         jobs += [(task, run.seed, run.folder) for run in runs if run.evaluation is None]
-        jobs += [(task, seed, None) for seed in settings.seeds if seed not in {run.seed for run in runs}]
+        jobs += [(task, seed, None) for seed in dict.fromkeys(settings.seeds) if seed not in {run.seed for run in runs}]
     return jobs
 
 
