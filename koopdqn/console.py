@@ -206,6 +206,14 @@ def shown_path(path: Path) -> str:
     return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
 
 
+def percent(share: float) -> str:
+    """Return a share in whole percent: "100%" only of all and "0%" only of none."""
+    text = f"{share:.0%}"
+    if (text == "100%" and share < 1) or (text == "0%" and share > 0):
+        return f"{min(max(100 * share, 0.1), 99.9):.1f}%"
+    return text
+
+
 def counted(count: int, noun: str) -> str:
     """Return "1 run", "2 runs"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"

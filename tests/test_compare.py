@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,7 @@ from koopdqn import console
 from koopdqn.app import cli
 from koopdqn.app.commands import compare
 from koopdqn.app.hydra.overrides import prepare
+from koopdqn.artifact import read_artifact, write_artifact
 from koopdqn.errors import BadInputError
 from koopdqn.intent.bend import Bend
 from koopdqn.plots import style
@@ -66,6 +68,20 @@ def test_runs_stand_in_one_table_and_their_paths_on_one_page(
     assert [(motion["start"], motion["run"][0]) for motion in learned] == [(0, "A"), (0, "B"), (1, "A"), (1, "B")]
     assert {motion["run"][0]: motion["colour"] for motion in learned} == {"A": style.BLUE, "B": style.GREEN}
     assert len(baked["tracks"]) == 3
+
+
+def test_what_a_policy_was_trained_with_is_compared_whatever_is_the_default_now(
+    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    older = tmp_path / "older"
+    shutil.copytree(runs[0], older)
+    held = read_artifact(older / "policy.safetensors", "policy")
+    about = dict(held.about)
+    for part, setting, value in (("agent", "gamma", 0.9), ("train", "check_every", 7), ("feedback", "reach_m", 0.01)):
+        about[part] = {**about[part], setting: value}
+    write_artifact(older / "policy.safetensors", replace(held, about=about))
+    keys = {row["key"] for row in compared((runs[0], older), tmp_path / "out", capsys)["differences"]}
+    assert keys == {"agent.gamma", "train.check_every", "feedback.reach_m"}
 
 
 def test_who_answered_is_a_difference(

@@ -410,6 +410,8 @@ class TestCompletion:
         (tmp_path / "mine" / "task" / "sword.yaml").write_text("name: sword\n")
         assert complete([], "task=s", str(tmp_path / "mine")) == ["task=shelf", "task=sword"]
         monkeypatch.chdir(tmp_path)
+        for key in ("run", "waypoints", "sweep", "journal", "obstacles", "video", "correct.waypoints"):
+            assert complete([], f"{key}=mi") == [f"{key}=mine/"]
         assert complete([], "demos=mi") == ["demos=mine/"]
         assert complete([], "demos=mine/t") == ["demos=mine/task/"]
 

@@ -46,6 +46,14 @@ def test_messages_are_one_literal_line(capsys: pytest.CaptureFixture[str]) -> No
     assert lines[1:] == ["koopdqn: warning: careful", "[1/3]"]
 
 
+@pytest.mark.parametrize(
+    ("share", "shown"),
+    [(1.0, "100%"), (0.999, "99.9%"), (0.99999, "99.9%"), (0.985, "98%"), (0.0, "0%"), (0.001, "0.1%"), (0.5, "50%")],
+)
+def test_nothing_is_called_all_or_none_that_is_not(share: float, shown: str) -> None:
+    assert console.percent(share) == shown
+
+
 def test_a_stage_off_a_terminal_is_a_line_at_either_end(capsys: pytest.CaptureFixture[str]) -> None:
     with console.stage("training [x]", total=3) as stage:
         for episode in range(3):

@@ -1,7 +1,9 @@
 """Films: as many frames as asked for, the arm moving in them, and files that players take."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import PIL.Image
 import pytest
@@ -25,6 +27,25 @@ def test_a_film_shows_both_arms_move_and_a_cursor_that_goes_on() -> None:
         np.flatnonzero((frame[370:430, 60:310] == 34).all(axis=(0, 2))).mean() for frame in (first, middle, last)
     ]
     assert np.diff(columns) == pytest.approx([120.0, 120.0], abs=1.5)
+
+
+@pytest.mark.draws
+def test_a_film_is_not_as_somebodys_own_settings_of_matplotlib_have_it() -> None:
+    learned, demonstrated = motions()[0], motions()[-1]
+    [plain] = film.film_frames(shelf().scene, learned, demonstrated, 1)
+    with mpl.rc_context({"savefig.bbox": "tight", "axes.facecolor": "black", "text.usetex": True}):
+        [again] = film.film_frames(shelf().scene, learned, demonstrated, 1)
+    np.testing.assert_array_equal(plain, again)
+
+
+@pytest.mark.draws
+def test_a_film_says_that_its_policy_fails() -> None:
+    learned, demonstrated = motions()[0], motions()[-1]
+    said = [
+        next(iter(film.film_frames(shelf().scene, replace(learned, fails=fails), demonstrated, 1)))[:30]
+        for fails in (True, False)
+    ]
+    assert (said[0] != said[1]).any()
 
 
 @pytest.mark.parametrize("name", ["film.mp4", "film.gif"])

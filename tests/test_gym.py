@@ -190,6 +190,8 @@ def test_stable_baselines_is_told_how_episodes_ended(env_parts: EnvironmentParts
     assert not np.array_equal(np.asarray(after), before)
     environment.seed(5)
     np.testing.assert_array_equal(environment.reset(), before)
+    assert len(environment.env_method("render")) == 3
+    assert len(environment.env_method("render", indices=[0, 2])) == 2
     single: Any = KoopmanEnv(env_parts)
     with pytest.raises(BadInputError, match="env: must be a vector environment"):
         StableBaselinesVecEnv(single)

@@ -100,6 +100,14 @@ def test_between_via_points_no_motion_has_less_jerk(shelf_task: ShelfTask) -> No
             assert squared(jerk + scaled) > squared(jerk)
 
 
+@pytest.mark.parametrize("count", [1, 50])
+def test_a_path_shorter_than_its_via_points_is_passed_too(count: int) -> None:
+    short = ReferencePath.along(pose.make([[0.0, 0, 0], [0.01, 0, 0]], UPRIGHT))
+    passed = Via(name="via", via_points=count).expert(short, pose.make([0.01, 0, 0], UPRIGHT), STEP, 0.0)
+    end = passed.roll_out(pose.make((0.0, 0.002, 0.0), UPRIGHT), 100)[-1]
+    np.testing.assert_allclose(end[:3], [0.01, 0, 0], atol=STEP)
+
+
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_it_passes_its_via_points(shelf_task: ShelfTask, count: int) -> None:
     shown = shelf_task.reference_path

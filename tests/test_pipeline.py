@@ -3,12 +3,14 @@
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 from parts import load_parts
 from small_run import SMALL, SOON
 
 from koopdqn.app import cli
+from koopdqn.app.hydra.compose import composed
 from koopdqn.artifact import described, read_artifact, write_artifact
 from koopdqn.files import read_json
 from koopdqn.oracles.replay import JournalledOracle
@@ -207,10 +209,19 @@ def test_the_command_that_goes_on_names_the_config_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "cn").mkdir()
-    (tmp_path / "cn" / "mine.yaml").write_text("defaults: [config, _self_]\n", encoding="utf-8")
-    monkeypatch.setattr(Trainer, "run", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    mine = "defaults: [config, _self_]\ntrain: {max_steps: 12345}\n"
+    (tmp_path / "cn" / "mine.yaml").write_text(mine, encoding="utf-8")
     own = [f"--config-dir={tmp_path}/cn", "--config-name=mine"]
+    composed_anew: list[Any] = []
+
+    def interrupted(*_: object) -> None:
+        composed_anew.append(composed([]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Trainer, "run", interrupted)
     assert cli.main(["train", *own, *SMALL, f"out={tmp_path}/run"]) == 130
+    # What a command composes once more is its own config, too.
+    assert composed_anew[0].train.max_steps == 12345
     told = capsys.readouterr().err.split("; koopdqn ")[1].partition(" goes on")[0]
     assert shlex.split(told)[1:3] == own
     assert cli.main(shlex.split(told)) == 130

@@ -1,6 +1,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import closing
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -10,7 +11,7 @@ from conftest import NO_OPENGL
 
 from koopdqn.errors import WorkFailedError
 from koopdqn.robot import DISABLED, VARIABLE
-from koopdqn.robot.render import Camera, Ghost, Line, Sphere
+from koopdqn.robot.render import Camera, Ghost, Line, Sphere, draw
 from koopdqn.robot.view import View, choose_view
 
 if TYPE_CHECKING:
@@ -99,6 +100,23 @@ def test_ghost_is_fainter_than_the_arm(camera: Camera, view: View, motion: "Arra
     whole = np.abs(there.astype(float) - plain).max(axis=2)[differs]
     assert (toward > 5).mean() > 0.2
     assert np.all(toward <= 0.3 * whole + 2)
+
+
+def test_a_ghost_paints_over_nothing_that_is_nearer(camera: Camera, view: View, motion: "Array") -> None:
+    mark = [Sphere(view.eye + 0.3 * view.forward, RED, 0.02)]
+    plain = camera.picture(motion[-1], view, spheres=mark)
+    ghosted = camera.picture(motion[-1], view, spheres=mark, ghosts=[Ghost(motion[-1], 0.5), Ghost(motion[0], 0.5)])
+    middle = (SIZE[1] // 2, SIZE[0] // 2)
+    np.testing.assert_array_equal(ghosted[middle], plain[middle])
+
+
+def test_many_short_lines_get_coarser_before_one_is_left_out() -> None:
+    drawn = SimpleNamespace(maxgeom=100, ngeom=0, geoms=[mujoco.MjvGeom() for _ in range(100)])
+    long, short = np.linspace([0, 0, 0], [1, 0, 0], 40), np.array([[0, 0, 0], [0.001, 0, 0]])
+    draw(drawn, [*(Line(long, RED, 0.002) for _ in range(9)), *(Line(short, RED, 0.01) for _ in range(40))])
+    last = drawn.geoms[drawn.ngeom - 1]
+    assert drawn.ngeom < 100
+    assert last.size[0] == pytest.approx(0.01)
 
 
 def test_more_lines_than_there_is_room_for_are_thinned_not_refused(

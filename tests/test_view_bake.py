@@ -105,6 +105,19 @@ def test_a_box_is_drawn_as_a_box_and_no_trust_as_nothing() -> None:
             assert np.abs(away.max(axis=2) - 1.0).min(axis=1).max() < 0.05
 
 
+def test_a_box_without_width_and_a_path_straight_back_are_drawn_too() -> None:
+    known = taught()
+    settings = load_parts("trust=paper", "trust.position_floor_m=0").trust
+    there = known.trajectories[0].copy()
+    there[:, 1] = there[0, 1]
+    back = np.concatenate([there, there[-2::-1]])
+    for rows in (there, back):
+        trust: Any = settings.fit([rows], [np.ones((len(rows) - 1, len(settings.doubts), 2))], shelf().task.frame)
+        vertices = np.array(baked_trust(trust)["vertices"])
+        assert len(vertices)
+        assert np.isfinite(vertices).all()
+
+
 def test_answers_add_balls() -> None:
     trust = reward_of(taught()).trust.extended(shelf().task.goal[None], np.array([0.07]))
     [ball] = baked_trust(trust)["balls"]

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 from helpers_view import motions, shown
@@ -63,6 +64,15 @@ def test_no_text_opens_a_comment_or_a_script_within_the_pages_data() -> None:
 
 def test_the_same_content_gives_the_same_page() -> None:
     assert render(shown().content()) == render(shown().content())
+
+
+def test_of_very_many_demonstrations_some_lines_from_first_to_last_are_drawn_and_it_says_so() -> None:
+    tracks = [np.full((2, 3), float(index)) for index in range(500)]
+    content = replace(shown(), tracks=tracks).content()
+    drawn = [track[0][0] for track in content["tracks"]]
+    assert (drawn[0], drawn[-1], len(drawn)) == (0.0, 499.0, 200)
+    assert content["lines"] == ["one line", "lines of 200 of 500 demonstrations are drawn"]
+    assert shown().content()["lines"] == ["one line"]
 
 
 @pytest.mark.skipif(NODE is None, reason="no Node.js here")

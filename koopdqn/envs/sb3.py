@@ -83,8 +83,9 @@ class StableBaselinesVecEnv(VecEnv):
         setattr(self._env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Call a method of the environment, once for all episodes."""
-        return [getattr(self._env, method_name)(*method_args, **method_kwargs)]
+        """Call a method of the environment, once for all episodes, and return its result once an episode."""
+        found = getattr(self._env, method_name)(*method_args, **method_kwargs)
+        return [found] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Return False for each episode: they are in no wrapper of this library's."""

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import PercentFormatter
 
-from koopdqn import pose
+from koopdqn import console, pose
 from koopdqn.demonstrations.dataset import Demonstrations
 from koopdqn.evaluation.evaluate import Evaluation
 from koopdqn.evaluation.metrics import SAMPLES, deviations
@@ -38,7 +38,8 @@ def plot_evaluation(
     report = evaluation.report
     low, high = report["success_interval_95"]
     title = (
-        f"Task {task.name}: {report['success_rate']:.0%} of {len(evaluation.episodes)} held-out starts succeed"
+        f"Task {task.name}: {console.percent(report['success_rate'])} of {len(evaluation.episodes)} held-out starts"
+        " succeed"
         f" (95 % interval {low:.0%} to {high:.0%})"
     )
     # Where demonstrations are held out, the references are theirs, and so are the starts of what is compared.
@@ -122,7 +123,7 @@ def _comparison(success: Axes, distance: Axes, report: Mapping[str, Any]) -> Non
     whiskers = np.clip([rates - intervals[:, 0], intervals[:, 1] - rates], 0.0, None)
     success.errorbar(rates, rows, xerr=whiskers, fmt="none", ecolor=style.INK, elinewidth=1.2, capsize=2)
     for row, (rate, top) in enumerate(zip(rates, intervals[:, 1], strict=True)):
-        _value(success, max(rate, top), row, f"{rate:.0%}")
+        _value(success, max(rate, top), row, console.percent(rate))
     success.set_xlim(0, 1.3)
     success.set_xticks([0, 0.5, 1.0])
     success.xaxis.set_major_formatter(PercentFormatter(1.0))

@@ -95,8 +95,10 @@ def _actions(axes: Axes, plane: str, content: dict[str, Any], around: float) -> 
             "linewidth": 4.0 if action["chosen"] else 1.8,
             "solid_capstyle": "round",
         }
-        axes.plot([x, to_x], [y, to_y], linestyle=":" if action["source"] == "asked" else "-", zorder=5, **look)
-        axes.plot(to_x, to_y, "o", color=colour, markersize=7 if action["chosen"] else 4, zorder=6)
+        asked = action["source"] == "asked"
+        axes.plot([x, to_x], [y, to_y], linestyle=":" if asked else "-", zorder=5, **look)
+        size, fill = 7 if action["chosen"] else 4, "white" if asked else colour
+        axes.plot(to_x, to_y, "o", color=colour, markerfacecolor=fill, markersize=size, zorder=6)
     wished = np.array(content["predicted"])[None, POSITION]
     axes.plot(*style.project(wished, plane), **_PREDICTED)
     axes.plot(x, y, **_STATE)

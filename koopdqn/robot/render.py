@@ -111,7 +111,7 @@ class Camera:
         draw(self._renderer.scene, lines, spheres)
         image = self._renderer.render().astype(float)
         if ghosts:
-            image = self._with_ghosts(image, joints, view, ghosts)
+            image = self._with_ghosts(image, joints, view, ghosts, lines, spheres)
         if lines:
             image = self._with_hidden(image, lines)
         return np.asarray(np.rint(image), dtype=np.uint8)
@@ -126,9 +126,18 @@ class Camera:
         eye.distance, eye.azimuth, eye.elevation = view.distance, view.azimuth, view.elevation
         self._renderer.update_scene(self.scene.data, eye)
 
-    def _with_ghosts(self, image: Array, joints: Array, view: View, ghosts: Sequence[Ghost]) -> Array:
+    def _with_ghosts(
+        self,
+        image: Array,
+        joints: Array,
+        view: View,
+        ghosts: Sequence[Ghost],
+        lines: Sequence[Line],
+        spheres: Sequence[Sphere],
+    ) -> Array:
         # Two solid pictures blended by depth: transparent geoms would show every joint inside the others.
         self._look(joints, view)
+        draw(self._renderer.scene, lines, spheres)
         nearest = self._depth()
         for ghost in ghosts:
             self._look(ghost.joints, view)
@@ -165,6 +174,11 @@ def draw(drawn: Any, lines: Sequence[Line], spheres: Sequence[Sphere] = ()) -> N
     # Longer segments rather than missing lines where there are more than the scene has room for.
     room = max(drawn.maxgeom - drawn.ngeom, 1)
     every = max(1, -(-sum(map(len, thinned)) // room))
+    # Each line rounds up.
+    while (
+        every < max(map(len, thinned), default=1) and sum(-(-(len(points) - 1) // every) for points in thinned) > room
+    ):
+        every += 1
     for line, points in zip(lines, thinned, strict=True):
         kept = np.concatenate([points[:-1:every], points[-1:]])
         for start, end in pairwise(kept):

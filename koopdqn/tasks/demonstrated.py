@@ -121,7 +121,7 @@ class DemonstratedTask(Task):
     def rule(self) -> str:
         """The orientation rule, or ``none``."""
         if self.turning == "held":
-            return f"orientation stays within {np.degrees(self.held_limit_rad):.2g}° of the goal's"
+            return f"orientation stays within {np.degrees(self.held_limit_rad):.3g}° of the goal's"
         return "none"
 
     def rule_broken(self, poses: Array) -> np.ndarray:

@@ -89,7 +89,7 @@ class KnifeTask(Task):
     def rule(self) -> str:
         """The blade rule."""
         angle = np.degrees(self.safe_angle_rad)
-        return f"edge within {angle:.2g}° of straight down before the blade is within {self.rule_distance_m:g} m"
+        return f"edge within {angle:.3g}° of straight down before the blade is within {self.rule_distance_m:g} m"
 
     def blade_angle(self, poses: Array) -> Array:
         """Return the angle (N,) [rad] of the edge to straight down at poses (N, 7)."""

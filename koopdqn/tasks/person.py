@@ -228,7 +228,8 @@ class Via(Person):
     def _through_via_points(self, reference: ReferencePath) -> tuple[ReferencePath, Array]:
         """Return the path of least jerk through the via points, and the arc lengths (V,) [m] of those and its ends."""
         count = self.via_points + 2
-        share = np.rint(np.linspace(0.0, len(reference.places.points) - 1, count)).astype(int)
+        # A short path has fewer points than that.
+        share = np.unique(np.rint(np.linspace(0.0, len(reference.places.points) - 1, count)).astype(int))
         times, spline = least_jerk(reference.places.points[share])
         fine = np.linspace(0.0, times[-1], 4 * len(reference.places.points))
         points = np.asarray(spline(fine))

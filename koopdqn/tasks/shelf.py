@@ -49,7 +49,7 @@ class ShelfTask(Task):
     @property
     def rule(self) -> str:
         """The tilt rule."""
-        return f"tilt stays within {np.degrees(self.max_tilt_rad):.2g}°"
+        return f"tilt stays within {np.degrees(self.max_tilt_rad):.3g}°"
 
     def rule_broken(self, poses: Array) -> np.ndarray:
         """Return whether the bottle tilts too far at each pose (N, 7), as booleans (N,)."""

@@ -19,6 +19,8 @@ MOST_FRAMES: Final = 160
 _MOST_GEOMS: Final = 5_000
 _RING: Final = 16
 _RINGS: Final = 100
+# What is shorter [m] has no direction, and no surface would have room in what is narrower.
+_LEAST_M: Final = 1e-6
 _SHAPES: Final = {
     int(mujoco.mjtGeom.mjGEOM_PLANE): "plane",
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "sphere",
@@ -126,19 +128,25 @@ def _surface(middle: Array, half: Array, known: np.ndarray, order: float) -> tup
     """
     chosen = np.unique(np.linspace(0, len(middle) - 1, min(len(middle), _RINGS)).round().astype(int))
     # A turn in place has no direction, and no ring of its own.
-    moved = np.linalg.norm(np.diff(middle[chosen], axis=0), axis=1) > 1e-6
+    moved = np.linalg.norm(np.diff(middle[chosen], axis=0), axis=1) > _LEAST_M
     chosen = chosen[np.append(True, moved)]
     if len(chosen) < 2:
         return np.zeros((0, 3)), np.zeros((0, 3), dtype=int)
     middle, half, known = middle[chosen], half[chosen], known[chosen]
     tangents = np.gradient(middle, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    lengths = np.linalg.norm(tangents, axis=1)
+    # A path that turns straight back has no direction there, and keeps the one it came with.
+    turned = np.maximum.accumulate(np.where(lengths > _LEAST_M, np.arange(len(lengths)), 0))
+    tangents = tangents[turned] / lengths[turned, None]
+    half = np.maximum(half, _LEAST_M)
     normal = np.eye(3)[np.abs(tangents[0]).argmin()]
     angles = np.linspace(0.0, 2.0 * np.pi, _RING, endpoint=False)[:, None]
     vertices = []
     for center, widths, tangent in zip(middle, half, tangents, strict=True):
         # Carried along, so that neighbouring rings are not twisted against each other.
         normal = normal - (normal @ tangent) * tangent
+        if np.linalg.norm(normal) < _LEAST_M:
+            normal = np.cross(tangent, np.eye(3)[np.abs(tangent).argmin()])
         normal /= np.linalg.norm(normal)
         directions = np.cos(angles) * normal + np.sin(angles) * np.cross(tangent, normal)
         vertices.append(center + directions / np.linalg.norm(directions / widths, ord=order, axis=1, keepdims=True))

@@ -17,6 +17,7 @@ from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
+from koopdqn.console import percent
 from koopdqn.intent.reward import ASKED, CERTIFIED, REMEMBERED, SOURCES, TRUSTED
 from koopdqn.pose import POSITION, Array
 from koopdqn.rl.algorithm1 import Trainer
@@ -166,7 +167,11 @@ class Dashboard:
         none = "no check yet"
         rows = [
             ("time left", self._left(), ""),
-            ("success", f"{success[-1]:.0%} of {settings.check_starts} starts" if checks else none, _spark(success)),
+            (
+                "success",
+                f"{percent(success[-1])} of {settings.check_starts} starts" if checks else none,
+                _spark(success),
+            ),
             ("deviation", f"{distance[-1]:.1f} mm" if checks else none, _spark(distance)),
             ("passed", f"{trainer.progress.passed} of {settings.checks_to_learn} checks", ""),
             ("questions", f"{trainer.questions:,}" + ("" if self._budget is None else f" of {self._budget:,}"), ""),

@@ -152,11 +152,14 @@ def _background(
 
     width, height = SIZE
     learned, _ = motions
-    with mpl.rc_context({"font.family": "DejaVu Sans", "font.size": 8}):
+    with mpl.rc_context():
+        # Not as somebody's own file of settings has it.
+        mpl.rcdefaults()
+        mpl.rcParams.update({"font.family": "DejaVu Sans", "font.size": 8})
         figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
         FigureCanvasAgg(figure)
         for index, (name, motion) in enumerate(zip(("learned", "demonstrated"), motions, strict=True)):
-            text = f"{name}: {motion.name}"
+            text = f"{name}: {motion.name}" + (" (fails)" if motion.fails else "")
             figure.text(0.015 + 0.5 * index, 0.968, text, color=colours[index], fontsize=10, weight="bold", va="center")
         cursors = []
         for place, strip in zip(_PLOTS, learned.strips, strict=False):

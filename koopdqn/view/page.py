@@ -74,13 +74,17 @@ class Shown:
 
     def content(self) -> dict[str, Any]:
         """Return it as JSON values, as the page's script reads them."""
+        count = len(self.tracks)
+        # Of many, from first to last: of runs that are compared some of each.
+        drawn = np.linspace(0, count - 1, min(count, MOST_TRACKS)).round().astype(int)
+        some = [f"lines of {len(drawn)} of {count} demonstrations are drawn"] if count > len(drawn) else []
         return {
             "title": self.title,
-            "lines": list(self.lines),
+            "lines": [*self.lines, *some],
             "listings": [asdict(listing) for listing in self.listings],
             "scene": baked_scene(self.scene),
             "motions": [motion.baked(self.scene) for motion in self.motions],
-            "tracks": [rounded(track[frames_of(len(track))]) for track in self.tracks[:MOST_TRACKS]],
+            "tracks": [rounded(self.tracks[index][frames_of(len(self.tracks[index]))]) for index in drawn],
             "trust": None if self.trust is None else baked_trust(self.trust),
             "goal": None if self.goal is None else rounded(self.goal[pose.POSITION]),
             "cameras": cameras(self.scene, self.motions),

@@ -116,6 +116,9 @@ def _read(place: Path, label: str, config: Configuration) -> _Run:
     # As it was trained, where today's defaults or intent=FILE differ.
     known = {**plain(tree), **{name: described(getattr(own, name)) for name in ("task", "robot", "reward")}}
     known |= {"intent": described(trained.intent.settings), "trust": described(trained.intent.trust.settings)}
+    # When a run stops is no part of what its policy tells.
+    held = {name: trained.about[name] for name in ("agent", "feedback", "train") if name in trained.about}
+    known |= {name: {**known.get(name, {}), **node} for name, node in held.items()}
     keys = _flat({key: known[key] for key in _SHAPING if key in known})
     # Who answered is no part of the config that a trained run is read with.
     asked = {item.key: str(item.value) for item in read_record(place, "a training run") if item.root == "oracle"}
@@ -184,7 +187,7 @@ def _told(each: _Run, motions: Sequence[Motion]) -> ComparedRun:
         episodes=None if evaluation is None else evaluation["episodes"],
         success_rate=None if evaluation is None else evaluation["success_rate"],
         deviation_mm=None if evaluation is None else evaluation["path_deviation_mm"]["mean"],
-        reached=sum(motion.remark.startswith("reaches") for motion in own),
+        reached=sum(not motion.fails for motion in own),
     )
 
 
@@ -202,7 +205,7 @@ def _result_listing(found: Sequence[ComparedRun], starts: int) -> Listing:
     header = ("run", "folder", "learned", "time [s]", "actions", "questions", "success", "deviation", "reached")
     rows = []
     for each in found:
-        success = "–" if each.success_rate is None else f"{each.success_rate:.0%} of {each.episodes}"
+        success = "–" if each.success_rate is None else f"{console.percent(each.success_rate)} of {each.episodes}"
         deviation = "–" if each.deviation_mm is None else f"{each.deviation_mm:.1f} mm"
         rows.append(
             (

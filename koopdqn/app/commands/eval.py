@@ -193,7 +193,7 @@ def _cells(method: dict[str, Any]) -> list[str]:
     deviation, (low, high) = method["path_deviation_mm"], method["success_interval_95"]
     causes = sorted(((count, cause) for cause, count in method["failures"].items() if count), reverse=True)
     return [
-        f"{method['success_rate']:.0%} ({100 * low:.0f}–{100 * high:.0f})",
+        f"{console.percent(method['success_rate'])} ({100 * low:.0f}–{100 * high:.0f})",
         f"{_number(deviation['mean'], 1)} / {_number(deviation['p95_of_max'], 0)} mm",
         f"{_number(method['lateral_deviation_mm']['mean'], 1)} mm",
         ", ".join(f"{count} {cause.replace('_', ' ')}" for count, cause in causes) or "none",

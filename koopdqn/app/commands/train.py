@@ -209,7 +209,7 @@ def _learn(
 
 
 def _progress(trainer: Trainer, check: Check | None) -> str:
-    success = "no check yet" if check is None else f"success {check.success_rate:.0%} of held-out starts"
+    success = "no check yet" if check is None else f"success {console.percent(check.success_rate)} of held-out starts"
     asked = console.counted(trainer.questions, "question")
     return f"{trainer.learner.updates} updates, {trainer.env_steps} actions, {asked}, {success}"
 

@@ -25,6 +25,7 @@ from koopdqn.view.page import Shown, write_page
 from koopdqn.view.window import KEYS, check_display, watch
 
 _FOLLOWED: Final = 12
+_TOLD_FROM_ONE: Final = ("the trust domain is drawn where it lies for a path from the nominal start",)
 """Demonstrations that the arm follows; further ones are drawn as lines."""
 _MADE_FROM_FILES: Final = "demonstrated"
 
@@ -78,6 +79,7 @@ def _of_run(config: Configuration, source: Path) -> Shown:
             f"{len(run.demonstrations)} demonstrations, {starts} held-out starts of seed {config.eval.seed}",
             f"rule: {config.task.rule}",
             *_first_of(len(run.demonstrations), followed),
+            *(_TOLD_FROM_ONE if feedback.reward.model.start_frame.follows else ()),
             *(" ".join(remark) for remark in run.beside),
             *(f"{motion.name}: {motion.remark}" for motion in learned if motion.fails),
         ),

@@ -176,7 +176,9 @@ def run(
     standard output as JSON (a line a job in a sweep), and nothing else does. What composing or the job raises is passed
     on unchanged.
     """
-    with tempfile.TemporaryDirectory(prefix="koopdqn-") as outcomes:
+    # Other machines share the folder that the runs lie in, not this one's for what is temporary.
+    elsewhere = any(each.startswith("hydra/launcher=") for each in overrides)
+    with tempfile.TemporaryDirectory(prefix=".koopdqn-", dir=Path.cwd() if elsewhere else None) as outcomes:
         job = Job(command, Path(outcomes), as_json, record, work)
         try:
             with _stdout_to_stderr() if as_json else contextlib.nullcontext():

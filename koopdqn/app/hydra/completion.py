@@ -5,13 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from koopdqn.app.hydra.compose import composed
-from koopdqn.app.hydra.overrides import PATH_KEYS, literal
+from koopdqn.app.hydra.overrides import FILE_KEYS, literal
 from koopdqn.resources import conf_dir
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
-
-_FILE_KEYS = (*PATH_KEYS, "intent")
 
 
 def complete(words: Sequence[str], incomplete: str, config_dir: str | None = None) -> list[str]:
@@ -51,7 +49,7 @@ def _candidates(typed: Sequence[str], start: str, config_dir: str | None) -> Ite
 
     prefix = start[: len(start) - len(start.lstrip("+~"))]
     key, equals, value = start.removeprefix(prefix).partition("=")
-    if equals and key in _FILE_KEYS:
+    if equals and key in FILE_KEYS:
         yield from (f"{prefix}{key}={path}" for path in _paths(value))
     user_dir = Path(config_dir).absolute() if config_dir else None
     for folder in (conf_dir(), user_dir):

@@ -29,9 +29,9 @@ def composed(overrides: Sequence[str], replaced: Mapping[str, Any] | None = None
     from hydra import compose
     from omegaconf import OmegaConf
 
-    with _LOCK, _initialized():
+    with _LOCK, _initialized() as name:
         ensure_resolver()
-        config = compose("config", overrides=list(overrides))
+        config = compose(name, overrides=list(overrides))
     OmegaConf.set_struct(config, False)
     for key, value in (replaced or {}).items():
         config[key] = value
@@ -47,21 +47,26 @@ _LOCK: Final = RLock()
 
 
 @contextmanager
-def _initialized() -> Iterator[None]:
-    """Let Hydra compose from the config tree, and put back what another program had it compose from."""
+def _initialized() -> Iterator[str]:
+    """Let Hydra compose from the config tree, and put back what another program had it compose from.
+
+    Yields the name of the config to compose, which a command may have another of.
+    """
     from hydra import initialize_config_dir
     from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.hydra_config import HydraConfig
     from hydra.version import VersionBase
 
     here, base = GlobalHydra.instance(), VersionBase.instance()
     if here.is_initialized() and set(GROUPS) <= set(here.config_loader().list_groups("")):
-        yield
+        command = HydraConfig.get().job.config_name if HydraConfig.initialized() else None
+        yield command or "config"
         return
     before = here.hydra, base.version_base
     here.clear()
     try:
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
-            yield
+            yield "config"
     finally:
         here.hydra, base.version_base = before
         GlobalHydra.set_instance(here)

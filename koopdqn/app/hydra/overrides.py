@@ -43,6 +43,12 @@ _SHORT_NAMES: Final = {
     "host": "stream.host",
     "waypoints": "correct.waypoints",
 }
+FILE_KEYS: Final = (
+    *PATH_KEYS,
+    *(short for short, key in _SHORT_NAMES.items() if key in PATH_KEYS),
+    *("intent", "obstacles", "video"),
+)
+"""What the user types before a path."""
 _OF_THE_COMMAND_LINE: Final = ("command", "out", "run", "intent_file", "trust_modules")
 """Keys without effect from Python."""
 _HYDRAS: Final = ("hydra.", "hydra/")
