@@ -15,6 +15,7 @@ from pydantic import ValidationError, model_validator
 
 from koopdqn import resources
 from koopdqn import settings as settings_module
+from koopdqn.app.hydra import application
 from koopdqn.app.hydra.completion import complete
 from koopdqn.app.hydra.compose import composed
 from koopdqn.app.hydra.folder import require_new, require_writable
@@ -484,3 +485,16 @@ def test_a_run_goes_on_whatever_its_folder_is_called(
     record(tmp_path / name, ["task=shelf", "command=train"])
     tree = composed(prepare("train", [f"run={name}"]).overrides)
     assert (tree["run"], tree["out"]) == (name, name)
+
+
+@pytest.mark.parametrize(("launcher", "here"), [("ray", True), ("submitit_slurm", True), ("joblib", False)])
+def test_outcomes_of_jobs_on_other_machines_lie_where_these_see_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, launcher: str, here: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    seen: list[Path] = []
+    monkeypatch.setattr(application, "_call_hydra", lambda job, *_, **__: seen.append(job.outcomes))
+    told = ["-m", f"hydra/launcher={launcher}"]
+    assert application.run("train", [], told, lambda *_: None, as_json=False, record=None) == 0  # type: ignore[arg-type]
+    assert (seen[0].parent == tmp_path) == here
+    assert list(tmp_path.iterdir()) == []

@@ -25,8 +25,8 @@ from koopdqn.view.page import Shown, write_page
 from koopdqn.view.window import KEYS, check_display, watch
 
 _FOLLOWED: Final = 12
-_TOLD_FROM_ONE: Final = ("the trust domain is drawn where it lies for a path from the nominal start",)
 """Demonstrations that the arm follows; further ones are drawn as lines."""
+_TOLD_FROM_ONE: Final = ("the trust domain is drawn where it lies for a path from the nominal start",)
 _MADE_FROM_FILES: Final = "demonstrated"
 
 

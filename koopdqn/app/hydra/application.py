@@ -177,7 +177,7 @@ def run(
     on unchanged.
     """
     # Other machines share the folder that the runs lie in, not this one's for what is temporary.
-    elsewhere = any(each.startswith("hydra/launcher=") for each in overrides)
+    elsewhere = not {"hydra/launcher=submitit_slurm", "hydra/launcher=ray"}.isdisjoint(overrides)
     with tempfile.TemporaryDirectory(prefix=".koopdqn-", dir=Path.cwd() if elsewhere else None) as outcomes:
         job = Job(command, Path(outcomes), as_json, record, work)
         try:
